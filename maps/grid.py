@@ -1,0 +1,109 @@
+"""Occupancy grid: which cells of the floor are free, occupied or unknown, and where they lie.
+
+Three frames meet here. World: the map frame of poses. Grid: metres along the columns (x) and rows
+(y) of the cells, zero at the lower-left corner of cell (0, 0); the grid's origin pose takes it to
+the world. Indices: (row, col), row 0 at the smallest y of the grid, so an image is flipped on load.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Cell(IntEnum):
+    """State of one cell."""
+
+    FREE = 0
+    OCCUPIED = 1
+    UNKNOWN = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class OccupancyGrid:
+    """Cells (H, W) uint8 of `Cell` values, row 0 at the smallest y; read-only.
+
+    origin: pose x_m, y_m, yaw_rad in the world of the lower-left corner of cell (0, 0).
+    """
+
+    cells: NDArray[np.uint8]
+    resolution_m: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        cells = np.array(self.cells, dtype=np.uint8, order="C")
+        if cells.ndim != 2 or cells.size == 0:
+            raise ValueError(f"cells {cells.shape} must be (H, W) with at least one cell")
+        if cells.max() > max(Cell):
+            raise ValueError(f"cell value {cells.max()} must be one of {[int(c) for c in Cell]}")
+        if not (math.isfinite(self.resolution_m) and self.resolution_m > 0):
+            raise ValueError(f"resolution_m {self.resolution_m} must be a finite number above 0")
+        if len(self.origin) != 3 or not all(math.isfinite(v) for v in self.origin):
+            raise ValueError(f"origin {self.origin} must be three finite numbers x, y, yaw")
+        cells.flags.writeable = False
+        object.__setattr__(self, "cells", cells)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.cells.shape
+        return rows, cols
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Extent along the grid's x and y."""
+        rows, cols = self.cells.shape
+        return cols * self.resolution_m, rows * self.resolution_m
+
+    def blocked(self, unknown_is_free: bool = False) -> NDArray[np.bool_]:
+        """Which cells (H, W) a robot must keep off."""
+        if unknown_is_free:
+            return np.asarray(self.cells == Cell.OCCUPIED)
+        return np.asarray(self.cells != Cell.FREE)
+
+    def with_cells(self, cells: NDArray[np.uint8]) -> OccupancyGrid:
+        """The same grid with other cells (H, W)."""
+        return replace(self, cells=cells)
+
+    def world_to_grid(self, xy_world: ArrayLike) -> FloatArray:
+        """Points (..., 2) of the world in metres of the grid frame."""
+        xy = np.asarray(xy_world, dtype=float) - np.array(self.origin[:2])
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        return xy @ np.array([[cos, -sin], [sin, cos]])
+
+    def grid_to_world(self, xy_grid: ArrayLike) -> FloatArray:
+        """Points (..., 2) of the grid frame in the world."""
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        turned: FloatArray = np.asarray(xy_grid, dtype=float) @ np.array([[cos, sin], [-sin, cos]])
+        return turned + np.array(self.origin[:2])
+
+    def world_to_cell(self, xy_world: ArrayLike) -> NDArray[np.int64]:
+        """(row, col) (..., 2) of the cells that hold the points (..., 2); may lie off the map."""
+        col_row = np.floor(self.world_to_grid(xy_world) / self.resolution_m)
+        return np.asarray(col_row[..., ::-1].astype(np.int64))
+
+    def cell_to_world(self, row_col: ArrayLike) -> FloatArray:
+        """Centres (..., 2) in the world of the cells (row, col) (..., 2)."""
+        col_row = np.asarray(row_col, dtype=float)[..., ::-1]
+        return self.grid_to_world((col_row + 0.5) * self.resolution_m)
+
+    def contains(self, xy_world: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each point (..., 2) lies on the map."""
+        cell = self.world_to_cell(xy_world)
+        return np.asarray(np.all((cell >= 0) & (cell < np.array(self.cells.shape)), axis=-1))
+
+    def bounds_world(self) -> tuple[float, float, float, float]:
+        """Smallest x, y and largest x, y in the world that the map reaches."""
+        width_m, height_m = self.size_m
+        corners = self.grid_to_world(
+            np.array([[0.0, 0.0], [width_m, 0.0], [0.0, height_m], [width_m, height_m]])
+        )
+        x_min, y_min = corners.min(axis=0)
+        x_max, y_max = corners.max(axis=0)
+        return float(x_min), float(y_min), float(x_max), float(y_max)

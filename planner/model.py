@@ -1,0 +1,159 @@
+"""What one robot can reach and stand on: foot and body boxes, step limits, step set.
+
+A foot pose is the centre of the sole on the ground with x forward along the foot. A step
+(x, y, yaw) is the pose of the swing foot in the frame of the support foot, with y and yaw counted
+outward: positive away from the support foot, so one step serves both sides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Interval = tuple[float, float]
+Step = tuple[float, float, float]
+
+
+class Side(IntEnum):
+    """Which foot. Left comes before right in every array of two feet."""
+
+    LEFT = 0
+    RIGHT = 1
+
+    @property
+    def other(self) -> Side:
+        """The opposite side."""
+        return Side(1 - self)
+
+    @property
+    def outward(self) -> int:
+        """Sign of y (and yaw) that points away from the other foot: +1 for left, -1 for right."""
+        return 1 - 2 * int(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootShape:
+    """Sole as a box centred on the foot pose."""
+
+    length_m: float
+    width_m: float
+
+    def __post_init__(self) -> None:
+        _check_positive("foot length_m", self.length_m)
+        _check_positive("foot width_m", self.width_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyShape:
+    """Outline of the robot seen from above: a box centred on the pair pose.
+
+    The pair pose is the point midway between the feet with their mean heading.
+    """
+
+    length_m: float
+    width_m: float
+
+    def __post_init__(self) -> None:
+        _check_positive("body length_m", self.length_m)
+        _check_positive("body width_m", self.width_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepLimits:
+    """Closed intervals of the swing foot's pose in the support foot's frame (outward positive)."""
+
+    x_m: Interval
+    y_m: Interval
+    yaw_rad: Interval
+
+    def __post_init__(self) -> None:
+        for name in ("x_m", "y_m", "yaw_rad"):
+            low, high = getattr(self, name)
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+                raise ValueError(f"step limits {name}: ({low}, {high}) must be finite, low <= high")
+
+    def contain(self, steps: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
+        """Whether each step of (..., 3) lies within the limits, shape (...)."""
+        array = np.asarray(steps, dtype=float)
+        low = np.array([self.x_m[0], self.y_m[0], self.yaw_rad[0]]) - tolerance
+        high = np.array([self.x_m[1], self.y_m[1], self.yaw_rad[1]]) + tolerance
+        inside: NDArray[np.bool_] = np.all((array >= low) & (array <= high), axis=-1)
+        return inside
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepModel:
+    """Everything the planner knows about one robot.
+
+    steps: the step set (x_m, y_m, yaw_rad); each must lie within the limits.
+    stance_width_m: distance between the feet when standing at a pose.
+    step_cost_m: what a step costs on top of the distance between its two feet.
+    turn_cost_m, side_cost_m, back_cost_m: optional extra cost of a step per radian of turn, per
+        metre by which y differs from the stance width, and per metre backwards.
+    clearance_m, clearance_cost_m: optional: a step whose pair pose is nearer than clearance_m to an
+        obstacle costs up to clearance_cost_m more, growing linearly as the distance falls to zero.
+    foot_margin_m, body_margin_m: by how much each box grows on all sides for the collision check.
+    foot_gap_m: least distance between the boxes of two consecutive feet.
+    cell_m, headings: the search lattice.
+    """
+
+    foot: FootShape
+    body: BodyShape
+    limits: StepLimits
+    steps: tuple[Step, ...]
+    stance_width_m: float
+    step_cost_m: float = 0.1
+    turn_cost_m: float = 0.0
+    side_cost_m: float = 0.0
+    back_cost_m: float = 0.0
+    clearance_m: float = 0.0
+    clearance_cost_m: float = 0.0
+    foot_margin_m: float = 0.0
+    body_margin_m: float = 0.0
+    foot_gap_m: float = 0.01
+    cell_m: float = 0.05
+    headings: int = 64
+
+    def __post_init__(self) -> None:
+        _check_positive("stance_width_m", self.stance_width_m)
+        _check_positive("step_cost_m", self.step_cost_m)
+        for name in (
+            *("turn_cost_m", "side_cost_m", "back_cost_m", "clearance_m", "clearance_cost_m"),
+            *("foot_margin_m", "body_margin_m", "foot_gap_m"),
+        ):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} {value} must be a finite number of 0 or more")
+        if not 0.005 <= self.cell_m <= 0.2:
+            raise ValueError(f"cell_m {self.cell_m} must be from 0.005 to 0.2")
+        if not (isinstance(self.headings, int) and 8 <= self.headings <= 256):
+            raise ValueError(f"headings {self.headings} must be a whole number from 8 to 256")
+        if self.headings % 4:
+            raise ValueError(f"headings {self.headings} must be a multiple of 4")
+        self._check_steps()
+
+    def _check_steps(self) -> None:
+        if not self.steps:
+            raise ValueError("steps is empty: a walk needs at least one step (x, y, yaw)")
+        for step in self.steps:
+            if len(step) != 3 or not self.limits.contain(step):
+                raise ValueError(f"step {step} lies outside the step limits {self.limits}")
+        if not self.limits.contain((0.0, self.stance_width_m, 0.0)):
+            raise ValueError(
+                f"stance_width_m {self.stance_width_m}: the step limits {self.limits} "
+                "must allow the step (0, stance_width_m, 0), which ends every walk"
+            )
+        if self.stance_width_m < self.foot.width_m + self.foot_gap_m:
+            raise ValueError(
+                f"stance_width_m {self.stance_width_m} must be at least the foot's width "
+                f"{self.foot.width_m} + foot_gap_m {self.foot_gap_m}, or the feet overlap"
+            )
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} {value} must be a finite number above 0")

@@ -1,0 +1,217 @@
+"""A footstep plan, the plan.json format, and the poses of a pair of feet."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.model import Side
+
+FORMAT = "footstep-plan/1"
+Pose = tuple[float, float, float]
+FloatArray = NDArray[np.float64]
+
+
+class PlanStatus(StrEnum):
+    """Outcome of a planning request; only FOUND carries steps."""
+
+    FOUND = "found"
+    START_BLOCKED = "start_blocked"
+    GOAL_BLOCKED = "goal_blocked"
+    OFF_MAP = "off_map"
+    NO_PATH = "no_path"
+    TIMED_OUT = "timed_out"
+
+
+def _no_sides() -> NDArray[np.int8]:
+    return np.zeros(0, np.int8)
+
+
+def _no_poses() -> FloatArray:
+    return np.zeros((0, 4))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootstepPlan:
+    """Steps in the order in which they are taken, and what made them.
+
+    side (N,): Side of each step. pose_world (N, 4): x_m, y_m, z_m, yaw_rad of each foot placed.
+    start_feet_world (2, 4): where the feet stand before the first step, left then right.
+    start, goal: pair poses x_m, y_m, yaw_rad. Arrays are read-only.
+    epsilon: proven bound: cost_m <= epsilon * optimum on the lattice; inf if nothing is proven.
+    """
+
+    start_feet_world: FloatArray
+    start: Pose
+    goal: Pose
+    side: NDArray[np.int8] = field(default_factory=_no_sides)
+    pose_world: FloatArray = field(default_factory=_no_poses)
+    robot: str = ""
+    map: str = ""
+    status: PlanStatus = PlanStatus.FOUND
+    reason: str = ""
+    cost_m: float = 0.0
+    epsilon: float = 1.0
+    expansions: int = 0
+    time_to_first_s: float = 0.0
+    time_s: float = 0.0
+    planner: str = ""
+
+    def __post_init__(self) -> None:
+        side = np.array(self.side, dtype=np.int8)
+        pose = np.array(self.pose_world, dtype=float)
+        feet = np.array(self.start_feet_world, dtype=float)
+        if side.ndim != 1 or pose.shape != (len(side), 4):
+            raise ValueError(f"pose_world {pose.shape} must be (N, 4) with N = {side.shape}")
+        if feet.shape != (2, 4):
+            raise ValueError(f"start_feet_world {feet.shape} must be (2, 4)")
+        for name, array in (("side", side), ("pose_world", pose), ("start_feet_world", feet)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.side)
+
+    @property
+    def found(self) -> bool:
+        """Whether there is a plan to walk (it may be empty when the feet already stand there)."""
+        return self.status is PlanStatus.FOUND
+
+    def to_json(self) -> str:
+        """The plan as text of plan.json; an unproven bound (inf) becomes null."""
+        document = {
+            "format": FORMAT,
+            "robot": self.robot,
+            "map": self.map,
+            "start": [float(v) for v in self.start],
+            "goal": [float(v) for v in self.goal],
+            "status": str(self.status),
+            "reason": self.reason,
+            "start_feet": {
+                side.name.lower(): self.start_feet_world[side].tolist() for side in Side
+            },
+            "steps": [
+                {"side": Side(int(s)).name.lower(), **dict(zip(_STEP_KEYS, p, strict=True))}
+                for s, p in zip(self.side, self.pose_world.tolist(), strict=True)
+            ],
+            "cost_m": self.cost_m,
+            "epsilon": self.epsilon if math.isfinite(self.epsilon) else None,
+            "expansions": self.expansions,
+            "time_to_first_s": self.time_to_first_s,
+            "time_s": self.time_s,
+            "planner": self.planner,
+        }
+        return json.dumps(document, indent=1, allow_nan=False)
+
+    @staticmethod
+    def from_json(text: str) -> FootstepPlan:
+        """The plan that plan.json text holds. Raises ValueError naming what is wrong in it."""
+        try:
+            document = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"not a plan: invalid JSON ({error})") from None
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            found = document.get("format") if isinstance(document, dict) else type(document)
+            raise ValueError(f"not a plan: format is {found!r}, must be {FORMAT!r}")
+        try:
+            return _from_document(document)
+        except KeyError as error:
+            raise ValueError(f"not a plan: key {error} is missing") from None
+        except (TypeError, ValueError, AttributeError) as error:
+            raise ValueError(f"not a plan: {error}") from None
+
+
+_STEP_KEYS = ("x", "y", "z", "yaw")
+
+
+def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
+    steps = document["steps"]
+    epsilon = document["epsilon"]
+    return FootstepPlan(
+        start_feet_world=np.array(
+            [_numbers(document["start_feet"][s.name.lower()], 4) for s in Side]
+        ),
+        start=_pose(document["start"]),
+        goal=_pose(document["goal"]),
+        side=np.array([_side(step["side"]) for step in steps], dtype=np.int8),
+        pose_world=np.array(
+            [_numbers([step[key] for key in _STEP_KEYS], 4) for step in steps]
+        ).reshape(-1, 4),
+        robot=str(document["robot"]),
+        map=str(document["map"]),
+        status=PlanStatus(document["status"]),
+        reason=str(document["reason"]),
+        cost_m=float(document["cost_m"]),
+        epsilon=math.inf if epsilon is None else float(epsilon),
+        expansions=int(document["expansions"]),
+        time_to_first_s=float(document["time_to_first_s"]),
+        time_s=float(document["time_s"]),
+        planner=str(document["planner"]),
+    )
+
+
+def _side(name: str) -> Side:
+    try:
+        return Side[name.upper()]
+    except KeyError:
+        raise ValueError(f"side {name!r} must be 'left' or 'right'") from None
+
+
+def _numbers(values: Sequence[float], count: int) -> list[float]:
+    numbers = [float(value) for value in values]
+    if len(numbers) != count or not all(math.isfinite(value) for value in numbers):
+        raise ValueError(f"{values} must be {count} finite numbers")
+    return numbers
+
+
+def _pose(values: Sequence[float]) -> Pose:
+    x_m, y_m, yaw_rad = _numbers(values, 3)
+    return x_m, y_m, yaw_rad
+
+
+def wrap_angle(angle_rad: ArrayLike) -> FloatArray:
+    """Angle(s) in [-pi, pi)."""
+    wrapped: FloatArray = (np.asarray(angle_rad, dtype=float) + np.pi) % (2 * np.pi) - np.pi
+    return wrapped
+
+
+def feet_at(pose: ArrayLike, stance_width_m: float) -> FloatArray:
+    """Feet (2, 4) of a robot that stands at the pair pose (x_m, y_m, yaw_rad) on z = 0."""
+    x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose, dtype=float))
+    half = stance_width_m / 2
+    dx_m, dy_m = -half * math.sin(yaw_rad), half * math.cos(yaw_rad)
+    return np.array(
+        [[x_m + dx_m, y_m + dy_m, 0.0, yaw_rad], [x_m - dx_m, y_m - dy_m, 0.0, yaw_rad]]
+    )
+
+
+def pair_pose(feet: ArrayLike) -> FloatArray:
+    """Pair pose (3,) of two feet (2, 4): the point midway and the mean heading, in [-pi, pi)."""
+    a, b = np.asarray(feet, dtype=float)
+    yaw_rad = a[3] + float(wrap_angle(b[3] - a[3])) / 2
+    return np.array([(a[0] + b[0]) / 2, (a[1] + b[1]) / 2, float(wrap_angle(yaw_rad))])
+
+
+def relative_step(support: ArrayLike, swing: ArrayLike, swing_side: Side) -> FloatArray:
+    """Step (x, y, yaw) of the swing foot pose (4,) in the frame of the support foot (4,).
+
+    y and yaw are counted outward, so the result compares with StepLimits whatever the side.
+    """
+    a, b = np.asarray(support, dtype=float), np.asarray(swing, dtype=float)
+    dx_m, dy_m = b[0] - a[0], b[1] - a[1]
+    cos, sin = math.cos(a[3]), math.sin(a[3])
+    out = swing_side.outward
+    return np.array(
+        [
+            cos * dx_m + sin * dy_m,
+            out * (-sin * dx_m + cos * dy_m),
+            out * float(wrap_angle(b[3] - a[3])),
+        ]
+    )
