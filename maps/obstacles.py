@@ -1,0 +1,55 @@
+"""Blocked cells merged into few rectangles, so that a simulation needs few walls."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def merge_rectangles(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rectangles (n, 4) as row0, col0, row1, col1 (ends excluded) that tile the blocked cells.
+
+    No two overlap, and together they cover exactly the blocked cells. Greedy: the first cell left
+    over, scanning rows, grows to the larger of two maximal rectangles, wide first or tall first.
+    """
+    left = np.array(blocked, dtype=bool)
+    rectangles: list[tuple[int, int, int, int]] = []
+    rows = left.shape[0]
+    for row in range(rows):
+        while left[row].any():
+            col = int(np.argmax(left[row]))
+            wide = _grow(left[row:, col:])
+            tall = _grow(left[row:, col:].T)[::-1]
+            height, width = max(wide, tall, key=lambda size: size[0] * size[1])
+            left[row : row + height, col : col + width] = False
+            rectangles.append((row, col, row + height, col + width))
+    return np.array(rectangles, dtype=np.int64).reshape(-1, 4)
+
+
+def _grow(cells: NDArray[np.bool_]) -> tuple[int, int]:
+    """Height and width of the rectangle at (0, 0) that takes its whole first run, then rows."""
+    width = _run(cells[0])
+    return _run_of_rows(cells, width), width
+
+
+def _run(line: NDArray[np.bool_]) -> int:
+    ends = np.flatnonzero(~line)
+    return int(ends[0]) if ends.size else len(line)
+
+
+def _run_of_rows(cells: NDArray[np.bool_], width: int) -> int:
+    height = 1
+    while height < len(cells) and cells[height, :width].all():
+        height += 1
+    return height
+
+
+def obstacle_boxes(blocked: NDArray[np.bool_], resolution_m: float) -> NDArray[np.float64]:
+    """Boxes (n, 4) as centre x, centre y, half extent x, half extent y, metres in the grid frame.
+
+    Their union is exactly the area of the blocked cells.
+    """
+    row0, col0, row1, col1 = merge_rectangles(blocked).T * resolution_m
+    return np.stack(
+        [(col0 + col1) / 2, (row0 + row1) / 2, (col1 - col0) / 2, (row1 - row0) / 2], axis=1
+    )

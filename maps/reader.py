@@ -1,0 +1,261 @@
+"""Reading of map images with the YAML of the ROS map server and Nav2.
+
+p is how occupied a pixel looks: 1 - luminance / 255, or luminance / 255 with negate. Occupied where
+p >= occupied_thresh, free where p <= free_thresh, else unknown. A pixel that is not opaque is
+unknown in the modes trinary and scale, which differ only in values that this project does not use.
+In mode raw the grey value 0..100 is the occupancy in per cent, anything above is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from maps.grid import Cell, OccupancyGrid
+
+REQUIRED_KEYS = ("image", "resolution", "origin", "negate")
+OPTIONAL_KEYS = ("occupied_thresh", "free_thresh", "mode")
+MODES = ("trinary", "scale", "raw")
+YAML_SUFFIXES = (".yaml", ".yml")
+UNKNOWN_GREY = 205
+Pose = tuple[float, float, float]
+
+
+class MapError(ValueError):
+    """A map that cannot be read; the message is one line that says what would be right."""
+
+
+class MapWarning(UserWarning):
+    """A map that can be read but probably does not mean what it says."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapMetadata:
+    """What the YAML beside an image says. image is the path of the picture to read."""
+
+    image: Path
+    resolution_m: float
+    origin: Pose = (0.0, 0.0, 0.0)
+    negate: bool = False
+    occupied_thresh: float = 0.65
+    free_thresh: float = 0.196
+    mode: str = "trinary"
+
+
+def load_map(
+    path: str | Path, *, resolution_m: float | None = None, origin: Pose | None = None
+) -> OccupancyGrid:
+    """Occupancy grid of a map image with its YAML beside it, or of the YAML itself.
+
+    resolution_m and origin win over the YAML; with resolution_m an image needs no YAML.
+    Raises MapError for anything wrong; warns with MapWarning where unknown grey reads as free.
+    """
+    file = Path(path)
+    if not file.exists():
+        raise MapError(f"map {file}: no such file; give an image (PNG, PGM, BMP, JPEG) or its YAML")
+    if not file.is_file():
+        raise MapError(f"map {file}: not a file; give an image (PNG, PGM, BMP, JPEG) or its YAML")
+    metadata = _metadata_for(file, resolution_m)
+    if resolution_m is not None:
+        metadata = replace(metadata, resolution_m=_number("resolution", resolution_m, file))
+    if origin is not None:
+        metadata = replace(metadata, origin=_origin(origin, file))
+    if metadata.resolution_m <= 0:
+        raise MapError(
+            f"map {file}: resolution {metadata.resolution_m:g} must be above 0 (metres per pixel)"
+        )
+    return grid_from_image(read_image(metadata.image), metadata)
+
+
+def _metadata_for(file: Path, resolution_m: float | None) -> MapMetadata:
+    """Metadata from the YAML `file` or the one beside the image `file`."""
+    if file.suffix.lower() in YAML_SUFFIXES:
+        return read_metadata(file)
+    for suffix in YAML_SUFFIXES:
+        beside = file.with_suffix(suffix)
+        if beside.is_file():
+            return replace(read_metadata(beside), image=file)
+    if resolution_m is not None:
+        return MapMetadata(image=file, resolution_m=resolution_m)
+    raise MapError(
+        f"map {file}: no {file.with_suffix('.yaml').name} beside it; give --resolution, "
+        f"or write that file with these four lines:\n{yaml_lines(file.name)}"
+    )
+
+
+def yaml_lines(image_name: str) -> str:
+    """The four lines that the YAML beside an image needs at least, as an example to edit."""
+    return "\n".join(
+        (
+            f"image: {image_name}",
+            "resolution: 0.05  # metres per pixel",
+            "origin: [0.0, 0.0, 0.0]  # x, y, yaw of the lower-left corner",
+            "negate: 0  # 1 where white means occupied",
+        )
+    )
+
+
+def read_metadata(file: Path) -> MapMetadata:
+    """Contents of a map YAML. Raises MapError naming the key, its value and what would be right."""
+    try:
+        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise MapError(f"map {file}: cannot be read as text ({_one_line(error)})") from None
+    except yaml.YAMLError as error:
+        raise MapError(f"map {file}: not valid YAML ({_one_line(error)})") from None
+    if not isinstance(document, dict):
+        raise MapError(f"map {file}: must hold keys such as `image:` and `resolution:`")
+    for key in REQUIRED_KEYS:
+        if key not in document:
+            raise MapError(f"map {file}: key `{key}` is missing")
+    for key in document.keys() - {*REQUIRED_KEYS, *OPTIONAL_KEYS}:
+        warnings.warn(f"map {file}: key `{key}` means nothing here", MapWarning, stacklevel=4)
+    image = document["image"]
+    if not isinstance(image, str) or not image:
+        raise MapError(f"map {file}: image {image!r} must be the name of a picture")
+    metadata = MapMetadata(
+        image=file.parent / image,
+        resolution_m=_number("resolution", document["resolution"], file),
+        origin=_origin(document["origin"], file),
+        negate=_negate(document["negate"], file),
+        occupied_thresh=_number("occupied_thresh", document.get("occupied_thresh", 0.65), file),
+        free_thresh=_number("free_thresh", document.get("free_thresh", 0.196), file),
+        mode=str(document.get("mode", "trinary")).lower(),
+    )
+    _check_metadata(metadata, file)
+    return metadata
+
+
+def _check_metadata(metadata: MapMetadata, file: Path) -> None:
+    if metadata.resolution_m <= 0:
+        raise MapError(
+            f"map {file}: resolution {metadata.resolution_m:g} must be above 0 (metres per pixel)"
+        )
+    if metadata.mode not in MODES:
+        raise MapError(f"map {file}: mode {metadata.mode!r} must be one of {', '.join(MODES)}")
+    if not 0 <= metadata.free_thresh < metadata.occupied_thresh <= 1:
+        raise MapError(
+            f"map {file}: free_thresh {metadata.free_thresh:g} and occupied_thresh "
+            f"{metadata.occupied_thresh:g} must satisfy 0 <= free_thresh < occupied_thresh <= 1"
+        )
+
+
+def _number(name: str, value: Any, file: Path) -> float:
+    # YAML 1.1 reads 5e-2 as text; the map server's own reader takes it for a number.
+    try:
+        number = float(value) if not isinstance(value, bool) else math.nan
+    except (TypeError, ValueError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise MapError(f"map {file}: {name} {value!r} must be a finite number")
+    return number
+
+
+def _origin(value: Any, file: Path) -> Pose:
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise MapError(f"map {file}: origin {value!r} must be three numbers [x, y, yaw]")
+    x_m, y_m, yaw_rad = (_number("origin", entry, file) for entry in value)
+    return x_m, y_m, yaw_rad
+
+
+def _negate(value: Any, file: Path) -> bool:
+    if isinstance(value, bool) or value in (0, 1):
+        return bool(value)
+    raise MapError(f"map {file}: negate {value!r} must be 0, 1, true or false")
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def read_image(file: Path) -> NDArray[np.generic]:
+    """Picture (H, W) or (H, W, channels BGR or BGRA), uint8 or uint16. Raises MapError."""
+    try:
+        data = file.read_bytes()
+    except FileNotFoundError:
+        raise MapError(f"map image {file}: no such file") from None
+    except OSError as error:
+        raise MapError(f"map image {file}: cannot be read ({error.strerror})") from None
+    if data.startswith(b"\x89PNG") and b"IEND" not in data[-16:]:
+        raise MapError(f"map image {file}: the PNG is cut off; copy the file again")
+    if data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]:
+        raise MapError(f"map image {file}: the JPEG is cut off; copy the file again")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    except cv2.error:
+        image = None
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        raise MapError(f"map image {file}: not an image that can be read (PNG, PGM, BMP, JPEG)")
+    return _full_range(image, data)
+
+
+def _full_range(image: NDArray[Any], data: bytes) -> NDArray[np.generic]:
+    """The picture with white at the type's largest value: binary PGM files name their own white."""
+    header = re.match(rb"P5(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+(\d+)", data)
+    full = np.iinfo(image.dtype).max
+    white = int(header[1]) if header else full
+    if white in (0, full):
+        return image
+    return np.rint(np.minimum(image, white) * (full / white)).astype(image.dtype)
+
+
+def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid:
+    """Occupancy grid of a picture (H, W[, channels]) read with the metadata's rules."""
+    grey, opaque = _grey_and_opaque(image)
+    full = float(np.iinfo(image.dtype).max)
+    if metadata.mode == "raw":
+        percent = np.rint(grey * (255.0 / full))
+        occupancy = percent / 100.0
+        known = percent <= 100
+    else:
+        occupancy = grey / full if metadata.negate else 1.0 - grey / full
+        known = opaque
+    cells = np.full(grey.shape, Cell.UNKNOWN, np.uint8)
+    free = known & (occupancy <= metadata.free_thresh)
+    cells[free] = Cell.FREE
+    cells[known & (occupancy >= metadata.occupied_thresh)] = Cell.OCCUPIED
+    _warn_about(metadata, free, np.rint(grey * (255.0 / full)) == UNKNOWN_GREY)
+    return OccupancyGrid(
+        cells=cells[::-1], resolution_m=metadata.resolution_m, origin=metadata.origin
+    )
+
+
+def _grey_and_opaque(image: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Luminance (H, W) in the image's own range, and which pixels are fully opaque."""
+    opaque = np.ones(image.shape[:2], bool)
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    if channels in (2, 4):
+        opaque = image[..., -1] == np.iinfo(image.dtype).max
+    if channels >= 3:
+        grey = cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
+    else:
+        grey = image.reshape(*image.shape[:2], -1)[..., 0]
+    return grey.astype(np.float64), opaque
+
+
+def _warn_about(
+    metadata: MapMetadata, free: NDArray[np.bool_], unknown_grey: NDArray[np.bool_]
+) -> None:
+    count = int(np.count_nonzero(free & unknown_grey))
+    if count and metadata.mode != "raw" and not metadata.negate:
+        warnings.warn(
+            f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels of "
+            f"the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown",
+            MapWarning,
+            stacklevel=3,
+        )
+    if not free.any():
+        warnings.warn(
+            f"map {metadata.image}: no free cell at all; check negate and free_thresh",
+            MapWarning,
+            stacklevel=3,
+        )
