@@ -1,0 +1,51 @@
+"""The commands there are. A new command is one entry here and the module that it names."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One command, by name only: nothing is imported until the command is asked for.
+
+    Attributes:
+        summary: One line for the list of commands.
+        options: `module:Dataclass`; its fields are the options, its docstring heads the help.
+        run: `module:function`, called with the options; it returns the exit code.
+        example: A command line that works, without `python main.py`.
+    """
+
+    summary: str
+    options: str
+    run: str
+    example: str
+
+    def load_options(self) -> type[Any]:
+        """The dataclass of the options."""
+        return _load(self.options)
+
+    def load_run(self) -> Callable[[Any], int]:
+        """The function that carries the command out."""
+        return _load(self.run)
+
+
+def _load(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+COMMANDS: Mapping[str, Command] = MappingProxyType(
+    {
+        "plan": Command(
+            summary="plan footsteps from a start to a goal on a map",
+            options="app.plan:PlanOptions",
+            run="app.plan:run",
+            example="plan --map maps/room.png --goal 2,1,1.57 --image plan.png",
+        ),
+    }
+)

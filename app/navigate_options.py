@@ -1,0 +1,51 @@
+"""The options of `navigate`, apart from what carries it out: the help must not load a simulator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from app.inputs import MapOptions, RobotName
+from app.options import FolderOption, OptionalFile, Pose, PoseOption, whole_number
+
+
+@dataclass(frozen=True, kw_only=True)
+class NavigateOptions(MapOptions):
+    """Plan footsteps to the goal, walk them in MuJoCo with the trained policy, and report.
+
+    The robot plans again when a foot lands too far from its step. The exit code is 0 when the
+    robot stands at the goal, 2 when the input is wrong, 3 when there is no plan, and 4 when there
+    was a plan and the walk failed.
+    """
+
+    goal: PoseOption
+    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where the robot stands at first, such as -1,2,0."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    policy: OptionalFile = None
+    """The policy that walks, such as runs/mine/policy.safetensors; none for the one that comes
+    with the robot."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of everything random, such as 7."""
+
+    out: FolderOption = Path("runs/navigate")
+    """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
+
+    video: OptionalFile = None
+    """Also write a film of the walk, such as walk.mp4; needs a GL library."""
+
+    strip: OptionalFile = None
+    """Also write a picture strip of the whole walk, such as walk.png; needs a GL library."""
+
+    gait_strip: OptionalFile = None
+    """Also write a picture strip of one gait cycle, such as gait.png; needs a GL library."""
+
+    json: bool = False
+    """Print report.json on standard output, and nothing else there."""

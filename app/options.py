@@ -1,0 +1,124 @@
+"""The kinds of value that options take, each with its own reading and its own complaint.
+
+Use them as `goal: PoseOption` or `epsilon: Annotated[float, number(at_least=1.0)] = 8.0`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+from tyro.constructors import PrimitiveConstructorSpec
+
+
+class Pose(NamedTuple):
+    """A pose on the floor, in the map frame; yaw is counter-clockwise."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+def parse_pose(text: str) -> Pose:
+    """The pose written as `X,Y,YAW`, metres and radians.
+
+    Raises:
+        ValueError: Not three finite numbers with commas between them.
+    """
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise ValueError(
+            f"{text!r} is not a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57"
+        )
+    return Pose(*values)
+
+
+def number(
+    *, at_least: float | None = None, above: float | None = None
+) -> PrimitiveConstructorSpec[float]:
+    """Reads a finite number within bounds, for `Annotated[float, ...]`."""
+    return _number(float, "NUMBER", "a number", at_least=at_least, above=above)
+
+
+def whole_number(*, at_least: int | None = None) -> PrimitiveConstructorSpec[int]:
+    """Reads a whole number within bounds, for `Annotated[int, ...]`."""
+    return _number(int, "COUNT", "a whole number", at_least=at_least, above=None)
+
+
+def choice(*names: str) -> PrimitiveConstructorSpec[str]:
+    """Reads one of the names, for `Annotated[str, ...]`."""
+
+    def read(words: list[str]) -> str:
+        if words[0] not in names:
+            raise ValueError(f"{words[0]!r} is not one of {', '.join(names)}")
+        return words[0]
+
+    return _spec("|".join(names), read)
+
+
+def text(metavar: str) -> PrimitiveConstructorSpec[str]:
+    """Reads any text, for `Annotated[str, ...]`; the metavar stands for it in the help."""
+    return _spec(metavar, lambda words: words[0])
+
+
+def _number(
+    kind: Callable[[str], Any],
+    metavar: str,
+    noun: str,
+    *,
+    at_least: float | None,
+    above: float | None,
+) -> PrimitiveConstructorSpec[Any]:
+    wanted = noun
+    if at_least is not None:
+        wanted += f" of at least {at_least}"
+    if above is not None:
+        wanted += f" above {above}"
+
+    def read(words: list[str]) -> Any:
+        try:
+            value = kind(words[0])
+        except ValueError:
+            value = math.nan
+        # A comparison with nan is false, so each test names what is right, not what is wrong.
+        large_enough = at_least is None or value >= at_least
+        if not (math.isfinite(value) and large_enough and (above is None or value > above)):
+            raise ValueError(f"{words[0]!r} is not {wanted}")
+        return value
+
+    return _spec(metavar, read)
+
+
+def _show(value: object) -> list[str]:
+    """A value as the help shows it and as it would be typed."""
+    if value is None:
+        return ["none"]
+    if isinstance(value, Pose):
+        return [",".join(f"{part:g}" for part in value)]
+    return [str(value)]
+
+
+def _spec(metavar: str, read: Callable[[list[str]], Any]) -> PrimitiveConstructorSpec[Any]:
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=read,
+        is_instance=lambda value: True,
+        str_from_instance=_show,
+    )
+
+
+PoseOption = Annotated[Pose, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
+OptionalPose = Annotated[Pose | None, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
+OptionalNumber = Annotated[float | None, number()]
+OptionalLength = Annotated[float | None, number(above=0)]
+FileOption = Annotated[Path, _spec("FILE", lambda words: Path(words[0]))]
+OptionalFile = Annotated[Path | None, _spec("FILE", lambda words: Path(words[0]))]
+FolderOption = Annotated[Path, _spec("DIR", lambda words: Path(words[0]))]
+OptionalFolder = Annotated[Path | None, _spec("DIR", lambda words: Path(words[0]))]

@@ -1,0 +1,209 @@
+"""Pictures of a recorded walk: the GL library, the cameras, and the drawing of single frames."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mujoco
+
+FloatArray = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+NO_GL = (
+    "pictures and films of the robot need a GL library and none works here: "
+    "apt-get install libegl1 libgl1-mesa-dri (or libosmesa6)"
+)
+_PROBE = "import mujoco; mujoco.GLContext(16, 16).make_current()"
+
+
+class NoGlError(RuntimeError):
+    """No GL library works here; the message names the packages that help."""
+
+    def __init__(self) -> None:
+        super().__init__(NO_GL)
+
+
+def prepare_gl() -> str:
+    """Finds a way to render without a display and sets MUJOCO_GL to it; returns its name.
+
+    MuJoCo reads the variable when it is first imported, so this comes before that. Each way is
+    tried in a process of its own (half a second), because a GL library that is only half
+    installed can take the process down. A value that is set already is the only one tried.
+
+    Raises:
+        NoGlError: None works.
+    """
+    given = os.environ.get("MUJOCO_GL", "")
+    if given:
+        ways: Sequence[str] = (given,)
+    elif platform.system() == "Linux":
+        ways = ("egl", "osmesa")
+    else:
+        ways = ("",)
+    for way in ways:
+        environment = {**os.environ, "MUJOCO_GL": way}
+        probe = subprocess.run(
+            [sys.executable, "-c", _PROBE], env=environment, capture_output=True, check=False
+        )
+        if probe.returncode == 0:
+            os.environ["MUJOCO_GL"] = way
+            return way
+    raise NoGlError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """A walk as it happened: qpos (T, nq) of the model at the times time_s (T,), in order."""
+
+    qpos: FloatArray
+    time_s: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.qpos.ndim != 2 or self.time_s.shape != self.qpos.shape[:1]:
+            raise ValueError(
+                f"qpos {self.qpos.shape} must be (T, nq) with T as in time_s {self.time_s.shape}"
+            )
+        if len(self.time_s) == 0:
+            raise ValueError("a recording needs at least one moment")
+
+    def nearest(self, times_s: FloatArray) -> NDArray[np.intp]:
+        """Indices of the moments nearest to the times (N,)."""
+        after = np.clip(np.searchsorted(self.time_s, times_s), 1, max(1, len(self.time_s) - 1))
+        before = after - 1
+        after = np.minimum(after, len(self.time_s) - 1)
+        is_before = times_s - self.time_s[before] <= self.time_s[after] - times_s
+        return np.where(is_before, before, after)
+
+
+@dataclass(frozen=True, kw_only=True)
+class View:
+    """Where the camera is, as seen from the robot.
+
+    The camera looks at the robot in the direction that lies azimuth_deg to the left of the
+    robot's heading and elevation_deg above level: 0 is from behind, 90 from the robot's right.
+    Robot and heading are averaged over smooth_s, so that the picture does not sway with the gait.
+    """
+
+    distance_m: float = 3.2
+    azimuth_deg: float = 35.0
+    elevation_deg: float = -22.0
+    height_m: float = 0.75
+    smooth_s: float = 1.5
+
+
+FOLLOW = View()
+SIDE = View(distance_m=3.0, azimuth_deg=90.0, elevation_deg=-8.0, smooth_s=0.6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraPath:
+    """lookat_m (T, 3) and azimuth_deg (T,) of the camera at each moment of a recording."""
+
+    lookat_m: FloatArray
+    azimuth_deg: FloatArray
+
+
+def camera_path(recording: Recording, view: View) -> CameraPath:
+    """The smooth path of a camera that stays with the robot.
+
+    Assumes that qpos begins with the free joint of the robot: position, then w, x, y, z.
+    """
+    w, x, y, z = recording.qpos[:, 3:7].T
+    yaw_rad = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+    place_m = np.column_stack([recording.qpos[:, :2], yaw_rad])
+    smooth = _smooth(place_m, recording.time_s, view.smooth_s)
+    height_m = np.full(len(smooth), view.height_m)
+    return CameraPath(
+        lookat_m=np.column_stack([smooth[:, :2], height_m]),
+        azimuth_deg=np.degrees(smooth[:, 2]) + view.azimuth_deg,
+    )
+
+
+def _smooth(values: FloatArray, time_s: FloatArray, width_s: float) -> FloatArray:
+    """Values (T, n) averaged by a bell curve of this width; the ends count as if they went on."""
+    if len(values) < 2 or width_s <= 0:
+        return values
+    step_s = float(np.median(np.diff(time_s)))
+    sigma = width_s / 2 / step_s
+    reach = int(3 * sigma) + 1
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    weights /= weights.sum()
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
+    return np.column_stack([np.convolve(column, weights, mode="valid") for column in padded.T])
+
+
+class Drawer:
+    """Draws moments of one recording; made by `drawing`, which also frees what it holds."""
+
+    def __init__(
+        self, renderer: mujoco.Renderer, data: mujoco.MjData, recording: Recording, view: View
+    ) -> None:
+        import mujoco
+
+        self._renderer = renderer
+        self._data = data
+        self._recording = recording
+        self._path = camera_path(recording, view)
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        self._camera.distance = view.distance_m
+        self._camera.elevation = view.elevation_deg
+
+    def draw(self, index: int) -> Picture:
+        """The picture (height, width, 3), red green blue, of moment `index`."""
+        import mujoco
+
+        self._data.qpos[:] = self._recording.qpos[index]
+        mujoco.mj_kinematics(self._renderer.model, self._data)
+        mujoco.mj_camlight(self._renderer.model, self._data)
+        self._camera.lookat[:] = self._path.lookat_m[index]
+        self._camera.azimuth = self._path.azimuth_deg[index]
+        self._renderer.update_scene(self._data, self._camera)
+        return np.array(self._renderer.render())
+
+
+@contextmanager
+def drawing(
+    model: mujoco.MjModel,
+    recording: Recording,
+    view: View,
+    *,
+    width: int,
+    height: int,
+    fine: bool = False,
+) -> Iterator[Drawer]:
+    """Gives a Drawer of pictures of this size.
+
+    Shadows, reflections and smooth edges are drawn when `fine`: without a graphics card they
+    take six times as long. The model's rendering settings are changed, nothing else of it.
+
+    Raises:
+        NoGlError: The renderer cannot be had. Was `prepare_gl` called before MuJoCo's import?
+    """
+    import mujoco
+
+    if recording.qpos.shape[1] != model.nq:
+        raise ValueError(f"qpos {recording.qpos.shape} must be (T, {model.nq}) for this model")
+    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    model.vis.quality.offsamples = 4 if fine else 0
+    try:
+        renderer = mujoco.Renderer(model, height, width, max_geom=20_000)
+    except Exception as error:
+        # Each backend fails in its own way: ImportError, RuntimeError, GLError, FatalError.
+        raise NoGlError from error
+    with renderer:
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            renderer.scene.flags[flag] = fine
+        yield Drawer(renderer, mujoco.MjData(model), recording, view)

@@ -1,0 +1,186 @@
+"""The report of a walk: report.json, format "navigation-report/1", and its summary for people."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib.metadata
+import json
+import math
+import platform
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from app.errors import ExitCode
+
+FORMAT = "navigation-report/1"
+PACKAGES = ("mujoco", "numpy", "numba")
+PoseTuple = tuple[float, float, float]
+
+
+class Outcome(StrEnum):
+    """How a walk ended."""
+
+    REACHED = "reached"
+    NO_PATH = "no_path"
+    FELL = "fell"
+    COLLIDED = "collided"
+    TIMED_OUT = "timed_out"
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """What `navigate` ends with."""
+        if self is Outcome.REACHED:
+            return ExitCode.DONE
+        return ExitCode.NO_PLAN if self is Outcome.NO_PATH else ExitCode.WALK_FAILED
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootError:
+    """Distances in metres between where feet came to rest and where their steps were asked for."""
+
+    median: float
+    p95: float
+    max: float
+
+    @classmethod
+    def of(cls, errors_m: ArrayLike) -> Self | None:
+        """The summary of errors (N,), one per step taken; None where no step was taken."""
+        errors = np.asarray(errors_m, dtype=float)
+        if errors.size == 0:
+            return None
+        median, p95 = np.percentile(errors, [50, 95])
+        return cls(median=float(median), p95=float(p95), max=float(errors.max()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicyFile:
+    """Which policy walked."""
+
+    file: str
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """The file's name and the SHA-256 of its bytes, in hexadecimal."""
+        return cls(file=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+
+
+@dataclass(frozen=True, kw_only=True)
+class NavigationReport:
+    """Everything that report.json says, under the same names.
+
+    What was not measured, because the robot never walked, is None. Poses are x_m, y_m, yaw_rad
+    in the map frame; `goal_error_rad` is the size of the error in heading.
+    """
+
+    outcome: Outcome
+    start: PoseTuple
+    goal: PoseTuple
+    robot: str
+    map: str
+    seed: int
+    reason: str = ""
+    goal_error_m: float | None = None
+    goal_error_rad: float | None = None
+    steps_planned: int = 0
+    steps_taken: int = 0
+    replans: int = 0
+    foot_error_m: FootError | None = None
+    min_clearance_m: float | None = None
+    planning_time_s: float = 0.0
+    sim_time_s: float = 0.0
+    wall_time_s: float = 0.0
+    policy: PolicyFile | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """The text of report.json."""
+        values = {key: getattr(self, key) for key in _ORDER}
+        values["outcome"] = str(self.outcome)
+        for key in ("foot_error_m", "policy"):
+            values[key] = None if values[key] is None else dataclasses.asdict(values[key])
+        for key in ("start", "goal"):
+            values[key] = [float(part) for part in values[key]]
+        values["versions"] = dict(self.versions)
+        return json.dumps({"format": FORMAT, **values}, indent=1, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """The report that the text of report.json holds.
+
+        Raises:
+            ValueError: Not such a report; the message says what is wrong in it.
+        """
+        try:
+            document = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"not a report: invalid JSON ({error})") from None
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            found = document.get("format") if isinstance(document, dict) else document
+            raise ValueError(f"not a report: format is {found!r}, must be {FORMAT!r}")
+        values = {key: value for key, value in document.items() if key != "format"}
+        _check_keys(values)
+        try:
+            values["outcome"] = Outcome(values["outcome"])
+            for key, kind in (("foot_error_m", FootError), ("policy", PolicyFile)):
+                values[key] = None if values[key] is None else kind(**values[key])
+            for key in ("start", "goal"):
+                x_m, y_m, yaw_rad = (float(part) for part in values[key])
+                values[key] = (x_m, y_m, yaw_rad)
+            return cls(**values)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"not a report: {error}") from None
+
+    def summary(self) -> str:
+        """What a person wants to know, in a few lines."""
+        lines = [f"{self.outcome}" + (f": {self.reason}" if self.reason else "")]
+        if self.goal_error_m is not None and self.goal_error_rad is not None:
+            degrees = math.degrees(self.goal_error_rad)
+            lines.append(f"from the goal: {100 * self.goal_error_m:.1f} cm, {degrees:.1f} degrees")
+        lines.append(
+            f"steps: {self.steps_taken} taken, {self.steps_planned} planned, {self.replans} replans"
+        )
+        if self.foot_error_m is not None:
+            error = self.foot_error_m
+            lines.append(
+                f"feet from their steps: {100 * error.median:.1f} cm median, "
+                f"{100 * error.p95:.1f} cm 95th percentile, {100 * error.max:.1f} cm at most"
+            )
+        if self.min_clearance_m is not None:
+            lines.append(f"nearest to an obstacle: {100 * self.min_clearance_m:.0f} cm")
+        lines.append(
+            f"time: {self.planning_time_s:.2f} s planning, {self.sim_time_s:.1f} s walked, "
+            f"{self.wall_time_s:.1f} s waited"
+        )
+        return "\n".join(lines)
+
+
+# The order in which a person reads it; also the whole set of keys.
+_ORDER = (
+    *("outcome", "reason", "goal_error_m", "goal_error_rad", "steps_planned", "steps_taken"),
+    *("replans", "foot_error_m", "min_clearance_m", "planning_time_s", "sim_time_s"),
+    *("wall_time_s", "robot", "map", "start", "goal", "seed", "policy", "versions"),
+)
+
+
+def _check_keys(values: Mapping[str, Any]) -> None:
+    for key in _ORDER:
+        if key not in values:
+            raise ValueError(f"not a report: key {key!r} is missing")
+    for key in values:
+        if key not in _ORDER:
+            raise ValueError(f"not a report: key {key!r} is unknown")
+
+
+def installed_versions(packages: Iterable[str] = PACKAGES) -> dict[str, str]:
+    """Versions of Python and of the packages, read without importing them."""
+    versions = {"python": platform.python_version()}
+    versions.update({name: importlib.metadata.version(name) for name in packages})
+    return versions

@@ -1,0 +1,98 @@
+"""Holds the table of who may import whom, and keeps heavy libraries out of quick commands."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+PACKAGES = ("maps", "planner", "sim", "controller", "app")
+
+# Package -> modules of the house it may import; a name covers everything below it.
+MAY_IMPORT = {
+    "maps": ("maps",),
+    "planner": ("planner", "maps"),
+    "sim": ("sim", "maps", "planner.model"),
+    "controller": ("controller", "maps", "sim", "planner.model", "planner.plan"),
+    "app": PACKAGES,
+}
+
+# Heavy library -> packages that may import it at all.
+MAY_LOAD = {
+    "mujoco": ("sim", "controller", "app"),
+    "torch": ("controller", "app"),
+    "rsl_rl": ("controller", "app"),
+    "tensordict": ("controller", "app"),
+    "ompl": ("planner",),
+    "numba": ("planner",),
+    "cv2": ("maps", "planner", "app"),
+    "shapely": ("maps", "planner"),
+    "matplotlib": ("app",),
+    "av": ("app",),
+    "tyro": ("app",),
+    "rich": ("app",),
+}
+
+
+def imports(tree: ast.AST) -> Iterator[str]:
+    """Full names of the modules that a file imports, in functions too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, "house imports are absolute"
+            assert node.module is not None
+            # `from planner import model` imports planner.model; `from planner.model import Side`
+            # imports planner.model too, and the longer name lies below it.
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def covered(name: str, allowed: tuple[str, ...]) -> bool:
+    return any(name == module or name.startswith(f"{module}.") for module in allowed)
+
+
+def files_of(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_import_only_what_the_table_allows(package):
+    files = files_of(package)
+    assert files
+    for path in files:
+        for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
+            if covered(name, PACKAGES):
+                assert covered(name, MAY_IMPORT[package]), f"{path} imports {name}"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_heavy_libraries_stay_where_they_belong(package):
+    for path in files_of(package):
+        for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
+            library = name.partition(".")[0]
+            allowed = MAY_LOAD.get(library, PACKAGES)
+            assert package in allowed, f"{path} imports {library}"
+
+
+def test_main_imports_only_app():
+    names = list(imports(ast.parse((ROOT / "main.py").read_text(encoding="utf-8"))))
+    house = [name for name in names if covered(name, PACKAGES)]
+    assert house == ["app.cli.main"]
+
+
+def test_the_rule_sees_what_it_should():
+    source = "def f():\n    from sim import scene\n    import torch.nn"
+    assert list(imports(ast.parse(source))) == ["sim.scene", "torch.nn"]
+    assert covered("planner.model.Side", MAY_IMPORT["sim"])
+    assert not covered("planner.plan.FootstepPlan", MAY_IMPORT["sim"])
+    assert not covered("simulate", ("sim",))
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_files_stay_readable(package):
+    for path in files_of(package):
+        lines = path.read_text(encoding="utf-8").count("\n")
+        assert lines <= 400, f"{path} has {lines} lines: perhaps two ideas in one file"
