@@ -1,0 +1,84 @@
+"""How well a policy follows steps: falls and foot errors over held-out episodes of one mode."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controller.env import TaskConfig, WalkTask
+from controller.policy import Policy
+from sim.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModeResult:
+    """Episodes of one mode: how many fell, and how far feet came to rest from their steps."""
+
+    mode: str
+    episodes: int
+    falls: int
+    landing_error_m: np.ndarray
+    landing_heading_error_rad: np.ndarray
+
+    @property
+    def summary(self) -> dict[str, float | int | str]:
+        """Counts, and median, 95th and 99th percentile of the errors."""
+        error_m = self.landing_error_m if len(self.landing_error_m) else np.array([np.nan])
+        heading = self.landing_heading_error_rad
+        heading_deg = np.degrees(heading if len(heading) else np.array([np.nan]))
+        return {
+            "mode": self.mode,
+            "episodes": self.episodes,
+            "falls": self.falls,
+            "landings": len(self.landing_error_m),
+            "error_m_median": float(np.median(error_m)),
+            "error_m_p95": float(np.percentile(error_m, 95)),
+            "error_m_p99": float(np.percentile(error_m, 99)),
+            "heading_deg_median": float(np.median(heading_deg)),
+            "heading_deg_p95": float(np.percentile(heading_deg, 95)),
+        }
+
+
+def assess_mode(
+    robot: Robot,
+    policy: Policy,
+    mode: str | None,
+    *,
+    episodes: int,
+    seed: int,
+    threads: int = 1,
+    config: TaskConfig | None = None,
+) -> ModeResult:
+    """Walk `episodes` episodes at once with the deterministic policy; mode None is a mix.
+
+    The seed is of this run alone: nothing is shared with training.
+    """
+    task = WalkTask(
+        robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config
+    )
+    alive = np.ones(episodes, dtype=bool)
+    fell = np.zeros(episodes, dtype=bool)
+    errors: list[np.ndarray] = []
+    headings: list[np.ndarray] = []
+    observation = task.observe()
+    for _ in range(task.config.episode_ticks):
+        step = task.step(policy.act_scaled(observation))
+        observation = step.observation
+        counted = alive & step.landed
+        errors.append(step.landing_error_m[counted])
+        headings.append(step.landing_heading_error_rad[counted])
+        fell |= alive & step.terminated
+        alive &= ~step.terminated & ~step.truncated
+    return ModeResult(
+        mode=mode or "mixed",
+        episodes=episodes,
+        falls=int(fell.sum()),
+        landing_error_m=np.concatenate(errors),
+        landing_heading_error_rad=np.concatenate(headings),
+    )
+
+
+def at_navigation_rate(config: TaskConfig | None = None) -> TaskConfig:
+    """The task at the 1 kHz physics of navigation."""
+    return replace(config or TaskConfig(), timestep_s=0.001)

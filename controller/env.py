@@ -1,0 +1,224 @@
+"""The training task: B robots on level ground, each following tracks drawn anew every episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from controller.observation import (
+    critic_fields,
+    normaliser,
+    pelvis_yaw_rad,
+    policy_fields,
+    to_heading_frame,
+    wrap_angle_rad,
+)
+from controller.reward import PRECISE, WalkState, reward
+from controller.sequences import MAX_STEPS, draw_track
+from controller.walker import Walker
+from sim.robot import Robot
+from sim.scene import build_scene
+
+EPISODE_TICKS = 400
+SWING_FOOT_SHARE = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskConfig:
+    """What is trained on."""
+
+    timestep_s: float = 0.005
+    episode_ticks: int = EPISODE_TICKS
+    joint_noise_rad: float = 0.02
+    joint_speed_noise_rad_s: float = 0.2
+    wait_ticks: int = 20
+    reward: Mapping[str, float] = field(default_factory=lambda: dict(PRECISE))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Transition:
+    """What one control step gave; all arrays are (B, ...).
+
+    After a done episode `observation` is already the next episode's first.
+    """
+
+    observation: np.ndarray
+    critic_observation: np.ndarray
+    reward: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+    failed: np.ndarray
+    landed: np.ndarray
+    landing_error_m: np.ndarray
+    landing_heading_error_rad: np.ndarray
+    terms: dict[str, float]
+
+
+class WalkTask:
+    """B robots that walk episodes of at most `episode_ticks` control steps.
+
+    An episode is terminated when the robot has fallen (pelvis too low over the lower foot), its
+    legs touch, or the simulation left the finite numbers; it is truncated at its full length.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        count: int,
+        seed: int,
+        threads: int = 1,
+        mode: str | None = None,
+        config: TaskConfig | None = None,
+    ):
+        self.config = config or TaskConfig()
+        self.robot = robot
+        self.mode = mode
+        self.walker = Walker(
+            build_scene(robot, timestep_s=self.config.timestep_s),
+            count=count,
+            threads=threads,
+            capacity=MAX_STEPS,
+        )
+        self.ticks = np.zeros(count, dtype=np.int64)
+        self._rng = np.random.default_rng(seed)
+        self._torque = np.zeros((count, len(robot.joints)))
+        self._start_feet = self.walker.scene.soles_at(self.walker.scene.standing_qpos)
+        self._policy_normaliser = normaliser(policy_fields(robot))
+        self._critic_normaliser = normaliser(critic_fields())
+        self.reset(np.arange(count))
+
+    @property
+    def count(self) -> int:
+        """How many robots there are."""
+        return self.walker.sim.count
+
+    def restart(self, seed: int | np.random.SeedSequence) -> None:
+        """Forget everything and start new episodes from a seed."""
+        self._rng = np.random.default_rng(seed)
+        self.reset(np.arange(self.count))
+
+    def reset(self, rows: np.ndarray) -> None:
+        """Start new episodes for the robots `rows`."""
+        scene, config, rng = self.walker.scene, self.config, self._rng
+        joints = len(self.robot.joints)
+        for row in rows:
+            qpos, qvel = scene.standing_qpos.copy(), np.zeros(scene.model.nv)
+            qpos[scene.joint_qpos] += config.joint_noise_rad * rng.uniform(-1, 1, joints)
+            qvel[scene.joint_qvel] = config.joint_speed_noise_rad_s * rng.uniform(-1, 1, joints)
+            self.walker.place(int(row), qpos, qvel)
+            steps = int(rng.integers(4, MAX_STEPS + 1))
+            track = draw_track(
+                rng, self.robot.step_model, self._start_feet, mode=self.mode, steps=steps
+            )
+            wait_ticks = int(rng.integers(config.wait_ticks + 1))
+            self.walker.follow(int(row), track, wait_ticks=wait_ticks)
+        self._torque[rows] = 0.0
+        self.ticks[rows] = 0
+
+    def observe(self) -> np.ndarray:
+        """The policy's scaled observation (B, N)."""
+        offset, scale = self._policy_normaliser
+        return (self.walker.observe() - offset) / scale
+
+    def step(self, action: np.ndarray) -> Transition:
+        """Act on every robot, reward it, and start new episodes where one has ended."""
+        cursor = self.walker.cursor
+        targets, side = cursor.foot_targets, cursor.side
+        window, indicator = cursor.window, cursor.support_indicator
+        swinging, previous_action = cursor.swinging, self.walker.action
+        landed = self.walker.act(action)
+        failed = self.walker.sim.failed.copy()
+        state = self._walk_state(targets, window, indicator, swinging, side, previous_action)
+        value, terms = reward(state, self.config.reward)
+        self.ticks += 1
+        terminated = failed | self._fallen()
+        truncated = ~terminated & (self.ticks >= self.config.episode_ticks)
+        rows = np.arange(self.count)
+        errors = state.foot_error_m[rows, side], state.foot_heading_error_rad[rows, side]
+        self.reset(np.flatnonzero(terminated | truncated))
+        return Transition(
+            observation=self.observe(),
+            critic_observation=self.critic_observe(),
+            reward=np.where(failed, 0.0, value),
+            terminated=terminated,
+            truncated=truncated,
+            failed=failed,
+            landed=landed & ~terminated,
+            landing_error_m=errors[0],
+            landing_heading_error_rad=errors[1],
+            terms=terms,
+        )
+
+    def _fallen(self) -> np.ndarray:
+        """Too low, or the legs touching, at the end of the control step (B,)."""
+        sensors = self.walker.scene.sensors
+        latest = self.walker.sim.sensors[:, -1]
+        lower_sole_z = latest[:, sensors.sole_pos_world[:, 2]].min(axis=1)
+        low = latest[:, sensors.pelvis_pos_world[2]] - lower_sole_z < self.robot.fallen_height_m
+        touching = self.walker.sim.sensors[:, :, sensors.legs_touching[0]].max(axis=1) > 0
+        return np.asarray(low | touching)
+
+    def _walk_state(
+        self,
+        targets: np.ndarray,
+        window: np.ndarray,
+        indicator: np.ndarray,
+        swinging: np.ndarray,
+        side: np.ndarray,
+        previous_action: np.ndarray,
+    ) -> WalkState:
+        """What the reward is computed from; arrays as they were when the action was chosen."""
+        sim, sensors, qpos = self.walker.sim, self.walker.scene.sensors, self.walker.sim.qpos
+        latest = np.nan_to_num(sim.sensors[:, -1])
+        soles = self.walker.soles_world()
+        pelvis = latest[:, sensors.pelvis_pos_world]
+        head_offset = latest[:, sensors.head_pos_world[:2]] - pelvis[:, :2]
+        torque = latest[:, sensors.joint_torque]
+        torque_change, self._torque = np.abs(torque - self._torque).mean(axis=1), torque
+        share = np.full((self.count, 2), 0.5)
+        rows = np.flatnonzero(swinging)
+        share[rows, side[rows]] = SWING_FOOT_SHARE
+        share[rows, 1 - side[rows]] = 1 - SWING_FOOT_SHARE
+        heading = targets[:, 1, 3] + 0.5 * wrap_angle_rad(targets[:, 0, 3] - targets[:, 1, 3])
+        weight_n = self.robot.mass_kg * 9.81
+        force_z = sim.sensors[:, :, sensors.ground_force_world[:, 2]].mean(axis=1)
+        to_present = soles[:, :, :3] - window[:, None, 0, :3]
+        return WalkState(
+            support_indicator=indicator,
+            ground_force_weights=force_z / weight_n,
+            sole_speed_m_s=np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2),
+            foot_error_m=np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2),
+            foot_heading_error_rad=np.abs(wrap_angle_rad(soles[..., 3] - targets[..., 3])),
+            target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
+            root_distance_m=np.linalg.norm(pelvis[:, :2] - window[..., :2].mean(axis=1), axis=1),
+            swing_share=share,
+            heading_error_rad=wrap_angle_rad(pelvis_yaw_rad(qpos) - heading),
+            tilt_cos=qpos[:, 3] * np.cos(heading / 2) + qpos[:, 6] * np.sin(heading / 2),
+            height_error_m=pelvis[:, 2] - soles[..., 2].min(axis=1) - self.robot.pelvis_height_m,
+            head_offset_m=np.linalg.norm(head_offset, axis=1),
+            action_change_rad=np.abs(self.walker.action - previous_action).mean(axis=1),
+            torque_change_nm=torque_change,
+        )
+
+    def critic_observe(self) -> np.ndarray:
+        """What the critic sees (B, M): the policy's observation and the privileged fields."""
+        sim, sensors, qpos = self.walker.sim, self.walker.scene.sensors, self.walker.sim.qpos
+        error = self.walker.soles_world() - self.walker.cursor.foot_targets
+        error[..., 3] = wrap_angle_rad(error[..., 3])
+        error = to_heading_frame(qpos, error)[..., [0, 1, 3]]
+        velocity = to_heading_frame(qpos, sim.qvel[:, None, :3])[:, 0]
+        height = qpos[:, 2:3] - self.robot.pelvis_height_m
+        force = sim.sensors[:, :, sensors.ground_force_world[:, 2]].mean(axis=1)
+        force = force / (self.robot.mass_kg * 9.81)
+        fresh = self.ticks == 0  # sensors still show the episode before
+        error[fresh], force[fresh] = 0.0, 0.5
+        privileged = np.concatenate(
+            [velocity, height, error.reshape(self.count, -1), force], axis=1
+        )
+        offset, scale = self._critic_normaliser
+        return np.concatenate([self.observe(), (privileged - offset) / scale], axis=1)
+
+

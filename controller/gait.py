@@ -1,0 +1,77 @@
+"""The gait clock: when each foot swings, and how sharply that is asked for.
+
+Time is counted in control ticks. A step period begins with one foot's swing (single support)
+and ends with both feet down (double support); a cycle is a period of each foot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.model import Side
+from sim.robot import GaitTiming
+
+CONTROL_PERIOD_S = 0.025
+
+# Half the time over which a foot's role changes between swing and support.
+RAMP_HALF_S = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaitTicks:
+    """A gait's durations in control ticks."""
+
+    swing: int
+    double_support: int
+
+    @classmethod
+    def of(cls, gait: GaitTiming) -> GaitTicks:
+        """The durations rounded to whole control ticks."""
+        return cls(
+            swing=round(gait.single_support_s / CONTROL_PERIOD_S),
+            double_support=round(gait.double_support_s / CONTROL_PERIOD_S),
+        )
+
+    @property
+    def step(self) -> int:
+        """Ticks of a step period."""
+        return self.swing + self.double_support
+
+
+def clock(ticks: GaitTicks, side: np.ndarray, tick: np.ndarray, standing: np.ndarray) -> np.ndarray:
+    """Sine and cosine (B, 2) of the gait's phase; both 0 while standing.
+
+    The phase runs from 0 to pi over a right step's period and from pi to 2 pi over a left
+    one's, so that the mirrored robot sees the clock with its sign changed.
+
+    Args:
+        ticks: the gait's durations.
+        side: the swing foot of the present step (B,).
+        tick: control ticks since its swing began (B,).
+        standing: robots that do not step at all (B,).
+    """
+    phase = np.pi * (tick / ticks.step + (side == Side.LEFT))
+    return np.where(standing[:, None], 0.0, np.stack([np.sin(phase), np.cos(phase)], axis=1))
+
+
+def support_indicator(
+    ticks: GaitTicks, side: np.ndarray, tick: np.ndarray, standing: np.ndarray
+) -> np.ndarray:
+    """How much each foot should bear weight and rest (B, 2): +1 support, -1 swing.
+
+    This is the phase indicator of Singh et al. 2022, sec. IV-C, with linear ramps at lift-off
+    and touch-down, the same for force and (negated) for speed.
+    """
+    ramp = RAMP_HALF_S / CONTROL_PERIOD_S
+    # Signed ticks to the foot's nearest change of role, negative within its swing.
+    swing_foot = np.where(
+        tick <= ticks.swing, -np.minimum(tick, ticks.swing - tick), tick - ticks.swing
+    )
+    next_swing_foot = ticks.step - tick
+    rows = np.arange(len(side))
+    indicator = np.empty((len(side), 2))
+    indicator[rows, side] = swing_foot
+    indicator[rows, 1 - side] = next_swing_foot
+    return np.where(standing[:, None], 1.0, np.clip(indicator / ramp, -1.0, 1.0))

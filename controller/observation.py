@@ -1,0 +1,170 @@
+"""What the policy sees, one definition for training and navigation.
+
+Step targets are in the heading frame: origin at the pelvis, x along its heading, z up, with z
+measured from the height at which the pelvis stands, so that level ground reads 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.robot import Robot
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObsField:
+    """One group of observed numbers: what mirroring does to it, and its fixed scale.
+
+    The mirrored field is `sign * field[..., index]`. The policy is given field / scale.
+    """
+
+    name: str
+    index: np.ndarray
+    sign: np.ndarray
+    scale: float
+    offset: np.ndarray
+
+    @property
+    def width(self) -> int:
+        """How many numbers it has."""
+        return len(self.sign)
+
+
+def _field(
+    name: str,
+    sign: tuple[float, ...],
+    scale: float,
+    index: np.ndarray | None = None,
+    offset: np.ndarray | None = None,
+) -> ObsField:
+    return ObsField(
+        name=name,
+        index=np.arange(len(sign)) if index is None else index,
+        sign=np.array(sign, dtype=float),
+        scale=scale,
+        offset=np.zeros(len(sign)) if offset is None else offset,
+    )
+
+
+def policy_fields(robot: Robot) -> tuple[ObsField, ...]:
+    """The policy's observation, in order: orientation, joints, gait clock, two steps."""
+    index, sign = robot.mirror_joints
+    joint_sign = tuple(sign)
+    return (
+        _field("roll_pitch_rad", (-1, 1), 0.2),
+        _field("pelvis_angvel_rad_s", (-1, 1, -1), 1.0),
+        _field("joint_pos_rad", joint_sign, 0.5, index, robot.half_sitting_rad),
+        _field("joint_vel_rad_s", joint_sign, 4.0, index),
+        _field("clock", (-1, -1), 1.0),
+        _field("step_1", (1, -1, 1, -1), 0.3),
+        _field("step_2", (1, -1, 1, -1), 0.3),
+    )
+
+
+def critic_fields() -> tuple[ObsField, ...]:
+    """What the critic sees besides, in training only.
+
+    Pelvis velocity in the heading frame and height over its standing height; for each foot the
+    way from its target (x, y in the heading frame, heading); ground forces over the weight.
+    """
+    return (
+        _field("pelvis_linvel_m_s", (1, -1, 1), 0.5),
+        _field("pelvis_height_m", (1,), 0.1),
+        _field("sole_errors", (1, -1, -1, 1, -1, -1), 0.1, np.r_[3:6, 0:3]),
+        _field("ground_force_weights", (1, 1), 0.5, np.array([1, 0])),
+    )
+
+
+def mirror_map(fields: tuple[ObsField, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Index (N,) and sign (N,) with which the whole observation is mirrored."""
+    starts = np.cumsum([0] + [field.width for field in fields[:-1]])
+    index = np.concatenate([start + f.index for start, f in zip(starts, fields, strict=True)])
+    return index, np.concatenate([field.sign for field in fields])
+
+
+def layout(fields: tuple[ObsField, ...]) -> list[list[object]]:
+    """Names and widths, as stored beside a policy and compared when it is loaded."""
+    return [[field.name, field.width] for field in fields]
+
+
+def normaliser(fields: tuple[ObsField, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Offset (N,) and scale (N,): the policy is given (observation - offset) / scale."""
+    offset = np.concatenate([field.offset for field in fields])
+    scale = np.concatenate([np.full(field.width, field.scale) for field in fields])
+    return offset, scale
+
+
+def pelvis_yaw_rad(qpos: np.ndarray) -> np.ndarray:
+    """Heading (B,) of the pelvis from the free joint's quaternion in qpos (B, nq)."""
+    w, x, y, z = qpos[:, 3:7].T
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def roll_pitch_rad(qpos: np.ndarray) -> np.ndarray:
+    """Roll and pitch (B, 2) of the pelvis, turned in the order yaw, pitch, roll."""
+    w, x, y, z = qpos[:, 3:7].T
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
+    return np.stack([roll, pitch], axis=1)
+
+
+def wrap_angle_rad(angle: np.ndarray) -> np.ndarray:
+    """The same angle in [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi
+
+
+def to_heading_frame(qpos: np.ndarray, vector_world: np.ndarray) -> np.ndarray:
+    """World vectors (B, n, >=2) with their x and y turned into the pelvis's heading frame."""
+    yaw = pelvis_yaw_rad(qpos)[:, None]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turned = vector_world.copy()
+    turned[..., 0] = cos * vector_world[..., 0] + sin * vector_world[..., 1]
+    turned[..., 1] = cos * vector_world[..., 1] - sin * vector_world[..., 0]
+    return turned
+
+
+def steps_in_heading_frame(robot: Robot, qpos: np.ndarray, window: np.ndarray) -> np.ndarray:
+    """Steps (B, n, 4) in the world as x, y, z, heading in the robot's heading frame."""
+    relative = window.copy()
+    relative[..., :3] -= qpos[:, None, :3]
+    relative = to_heading_frame(qpos, relative)
+    relative[..., 2] += robot.pelvis_height_m
+    relative[..., 3] = wrap_angle_rad(window[..., 3] - pelvis_yaw_rad(qpos)[:, None])
+    return relative
+
+
+def observe(
+    robot: Robot,
+    *,
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    joint_qpos: np.ndarray,
+    joint_qvel: np.ndarray,
+    clock: np.ndarray,
+    window: np.ndarray,
+) -> np.ndarray:
+    """The policy's observation (B, 39 for 12 joints) before scaling.
+
+    Args:
+        robot: whose posture and pelvis height are meant.
+        qpos: free joint and joints (B, nq).
+        qvel: their velocities (B, nv).
+        joint_qpos: where the joints lie in qpos (J,).
+        joint_qvel: where the joints lie in qvel (J,).
+        clock: sine and cosine of the gait phase (B, 2), 0 while standing.
+        window: the present and the next step in the world (B, 2, 4).
+    """
+    steps = steps_in_heading_frame(robot, qpos, window)
+    return np.concatenate(
+        [
+            roll_pitch_rad(qpos),
+            qvel[:, 3:6],
+            qpos[:, joint_qpos],
+            qvel[:, joint_qvel],
+            clock,
+            steps.reshape(len(qpos), -1),
+        ],
+        axis=1,
+    )

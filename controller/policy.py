@@ -1,0 +1,139 @@
+"""A trained policy as numbers: a small network run in numpy, and the two files it is kept in.
+
+`NAME.safetensors` holds the weights; `NAME.json` beside it says what they fit: robot, observation
+layout, normaliser, MuJoCo version, and how they were trained. Nothing is unpickled, and torch is
+not needed to walk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from controller.observation import layout, normaliser, policy_fields
+from sim.robot import Robot
+
+FORMAT = "footstep-policy/1"
+POLICY_FOLDER = Path(__file__).parent / "policies"
+
+
+class PolicyError(ValueError):
+    """The policy file is missing, broken, or made for something else."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Policy:
+    """Layers of (weight (out, in), bias (out,)) with ReLU between them, and what they fit."""
+
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+    offset: np.ndarray
+    scale: np.ndarray
+    about: dict[str, Any]
+
+    def act(self, observation: np.ndarray) -> np.ndarray:
+        """Actions (B, J) in rad for observations (B, N) as they come from `observe`."""
+        return self.act_scaled((observation - self.offset) / self.scale)
+
+    def act_scaled(self, observation: np.ndarray) -> np.ndarray:
+        """Actions (B, J) for observations (B, N) that are scaled already."""
+        values = observation.astype(np.float32)
+        for weight, bias in self.layers[:-1]:
+            values = np.maximum(values @ weight.T + bias, 0.0)
+        weight, bias = self.layers[-1]
+        return np.asarray(values @ weight.T + bias, dtype=np.float64)
+
+
+def fitting(robot: Robot, layers: tuple[tuple[np.ndarray, np.ndarray], ...], **about: Any) -> Policy:
+    """A policy for the robot as it is now defined."""
+    fields = policy_fields(robot)
+    offset, scale = normaliser(fields)
+    facts = {
+        "format": FORMAT,
+        "robot": robot.name,
+        "joints": [joint.name for joint in robot.joints],
+        "observation": layout(fields),
+        **about,
+    }
+    return Policy(layers=layers, offset=offset, scale=scale, about=facts)
+
+
+def save_policy(policy: Policy, path: Path) -> None:
+    """Write path (.safetensors) and the JSON beside it, each under a temporary name first."""
+    from safetensors.numpy import save
+
+    tensors = {}
+    for k, (weight, bias) in enumerate(policy.layers):
+        tensors[f"layer{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
+        tensors[f"layer{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
+    content = save(tensors)
+    about = {
+        **policy.about,
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "normaliser": {"offset": policy.offset.tolist(), "scale": policy.scale.tolist()},
+    }
+    _replace(path.with_suffix(".safetensors"), content)
+    _replace(path.with_suffix(".json"), (json.dumps(about, indent=1) + "\n").encode())
+
+
+def load_policy(robot: Robot, path: Path | None = None) -> Policy:
+    """The policy at path (.safetensors), by default the robot's own.
+
+    Raises:
+        PolicyError: it is not there, cannot be read, or was made for another robot or
+            observation; the message says which.
+    """
+    from safetensors import SafetensorError
+    from safetensors.numpy import load
+
+    path = path or POLICY_FOLDER / f"{robot.name}.safetensors"
+    about_path = path.with_suffix(".json")
+    for needed in (path, about_path):
+        if not needed.is_file():
+            raise PolicyError(f"no policy file {needed}: train one or name another with --policy")
+    try:
+        content = path.read_bytes()
+        tensors = load(content)
+        about = json.loads(about_path.read_text())
+        offset = np.array(about["normaliser"]["offset"], dtype=float)
+        scale = np.array(about["normaliser"]["scale"], dtype=float)
+        depth = len(tensors) // 2
+        layers = tuple((tensors[f"layer{k}.weight"], tensors[f"layer{k}.bias"]) for k in range(depth))
+    except (SafetensorError, json.JSONDecodeError, KeyError, TypeError, OSError) as error:
+        raise PolicyError(f"policy {path} cannot be read ({error}): it is damaged") from error
+    _check(robot, path, about, layers, hashlib.sha256(content).hexdigest())
+    return Policy(layers=layers, offset=offset, scale=scale, about=about)
+
+
+def _check(robot: Robot, path: Path, about: dict[str, Any], layers: Any, digest: str) -> None:
+    fields = policy_fields(robot)
+    expected = {
+        "format": FORMAT,
+        "robot": robot.name,
+        "joints": [joint.name for joint in robot.joints],
+        "observation": layout(fields),
+        "sha256": digest,
+    }
+    for key, value in expected.items():
+        if about.get(key) != value:
+            raise PolicyError(
+                f"policy {path} does not fit: its {key} is {about.get(key)}, "
+                f"{robot.name} needs {value}"
+            )
+    shape = layers[0][0].shape[1] if layers else 0, layers[-1][0].shape[0] if layers else 0
+    if shape != (sum(field.width for field in fields), len(robot.joints)):
+        raise PolicyError(f"policy {path} does not fit: it maps {shape[0]} to {shape[1]} numbers")
+    if not all(np.isfinite(array).all() for layer in layers for array in layer):
+        raise PolicyError(f"policy {path} has weights that are not finite: it is damaged")
+
+
+def _replace(path: Path, content: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".tmp")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)

@@ -1,0 +1,163 @@
+"""rsl-rl's PPO on the walking task: the adapter between them, and the algorithm's settings."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from rsl_rl.algorithms import PPO
+from rsl_rl.env import VecEnv
+from tensordict import TensorDict
+
+from controller.env import WalkTask
+from controller.observation import critic_fields, mirror_map, policy_fields
+
+
+@dataclass(frozen=True, kw_only=True)
+class PpoConfig:
+    """Settings of the learner. Rates and noise fall linearly from first to last value."""
+
+    robots: int = 256
+    ticks_per_update: int = 64
+    hidden: tuple[int, ...] = (256, 256)
+    epochs: int = 4
+    minibatches: int = 8
+    learning_rate: tuple[float, float] = (3e-4, 1e-4)
+    action_std_rad: tuple[float, float] = (0.223, 0.1)
+    gamma: float = 0.99
+    lam: float = 0.95
+    clip: float = 0.2
+    mirror_loss: float = 0.4
+    learner_threads: int = 2
+
+    @property
+    def samples_per_update(self) -> int:
+        """Control steps of all robots between two updates."""
+        return self.robots * self.ticks_per_update
+
+
+class RslWalkEnv(VecEnv):
+    """The walking task as rsl-rl sees it; observations are scaled and in float32."""
+
+    def __init__(self, task: WalkTask):
+        self.task = task
+        self.num_envs = task.count
+        self.num_actions = len(task.robot.joints)
+        self.max_episode_length = task.config.episode_ticks
+        self.episode_length_buf = torch.zeros(task.count, dtype=torch.long)
+        self.device = "cpu"
+        self.cfg = asdict(task.config)
+
+    def get_observations(self) -> TensorDict:
+        """The present observations."""
+        return self._pack(self.task.observe(), self.task.critic_observe())
+
+    def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
+        """One control step of every robot; `extras` carries what the task reported."""
+        step = self.task.step(actions.numpy().astype(np.float64))
+        done = torch.from_numpy(step.terminated | step.truncated).long()
+        extras = {"time_outs": torch.from_numpy(step.truncated).float(), "transition": step}
+        observation = self._pack(step.observation, step.critic_observation)
+        return observation, torch.from_numpy(step.reward).float(), done, extras
+
+    def _pack(self, observation: np.ndarray, critic_observation: np.ndarray) -> TensorDict:
+        return TensorDict(
+            {
+                "actor": torch.from_numpy(np.clip(observation, -10, 10)).float(),
+                "critic": torch.from_numpy(np.clip(critic_observation, -10, 10)).float(),
+            },
+            batch_size=[self.num_envs],
+        )
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """rsl-rl's symmetry function: the batch followed by its mirror image."""
+
+    index: dict[str, torch.Tensor] = field(default_factory=dict)
+    sign: dict[str, torch.Tensor] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, task: WalkTask) -> Mirror:
+        """Mirror maps of both observations and of the action, derived from their fields."""
+        fields = policy_fields(task.robot)
+        maps = {
+            "actor": mirror_map(fields),
+            "critic": mirror_map(fields + critic_fields()),
+            "action": task.robot.mirror_joints,
+        }
+        index = {key: torch.from_numpy(value[0]) for key, value in maps.items()}
+        sign = {key: torch.from_numpy(value[1]).float() for key, value in maps.items()}
+        return cls(index=index, sign=sign)
+
+    def __call__(
+        self, *, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
+    ) -> tuple[TensorDict | None, torch.Tensor | None]:
+        """Observations and actions (2 n, ...) of a batch of n, each if given."""
+        del env
+        if obs is not None:
+            both = {key: self._both(key, obs[key]) for key in ("actor", "critic")}
+            obs = TensorDict(both, batch_size=[2 * obs.batch_size[0]])
+        return obs, None if actions is None else self._both("action", actions)
+
+    def _both(self, key: str, values: torch.Tensor) -> torch.Tensor:
+        return torch.cat([values, values[:, self.index[key]] * self.sign[key]])
+
+
+def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
+    """A fresh learner for the environment; weights are drawn from torch's generator."""
+    network = {"class_name": "MLPModel", "hidden_dims": list(config.hidden), "activation": "relu"}
+    noise = {
+        "class_name": "GaussianDistribution",
+        "init_std": config.action_std_rad[0],
+        "learn_std": False,
+    }
+    settings = {
+        "algorithm": {
+            "class_name": "PPO",
+            "num_learning_epochs": config.epochs,
+            "num_mini_batches": config.minibatches,
+            "learning_rate": config.learning_rate[0],
+            "schedule": "fixed",
+            "desired_kl": None,
+            "gamma": config.gamma,
+            "lam": config.lam,
+            "clip_param": config.clip,
+            "entropy_coef": 0.0,
+            "symmetry_cfg": {
+                "data_augmentation_func": Mirror.of(env.task),
+                "use_mirror_loss": True,
+                "mirror_loss_coeff": config.mirror_loss,
+            },
+        },
+        "actor": {**network, "distribution_cfg": noise},
+        "critic": dict(network),
+        "obs_groups": {"actor": ["actor"], "critic": ["critic"]},
+        "num_steps_per_env": config.ticks_per_update,
+        "multi_gpu": None,
+    }
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
+        return PPO.construct_algorithm(env.get_observations(), env, settings, "cpu")
+
+
+def set_progress(ppo: PPO, config: PpoConfig, share: float) -> None:
+    """Set the learning rate and action noise for the share in [0, 1] of training that is done."""
+
+    def between(ends: tuple[float, float]) -> float:
+        return ends[0] + (ends[1] - ends[0]) * min(share, 1.0)
+
+    ppo.learning_rate = between(config.learning_rate)
+    for group in ppo.optimizer.param_groups:
+        group["lr"] = ppo.learning_rate
+    with torch.no_grad():
+        ppo.actor.distribution.std_param.fill_(between(config.action_std_rad))
+
+
+def actor_layers(ppo: PPO) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """The actor's layers as (weight, bias) arrays."""
+    layers = [m for m in ppo.get_policy().mlp.modules() if isinstance(m, torch.nn.Linear)]
+    return tuple((m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy()) for m in layers)

@@ -1,0 +1,68 @@
+"""Robots that follow step tracks: one code path for training (B = 256) and navigation (B = 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controller.cursor import StepCursor, Track
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.observation import observe
+from sim.batch import SimBatch
+from sim.scene import Scene
+
+
+class Walker:
+    """B robots in a scene, each with a step cursor and its last action.
+
+    An action (B, J) is an offset in rad from half-sitting. The joint target sent is half the
+    new action and half the one before, as in the reference code of Singh et al. 2022.
+    """
+
+    def __init__(self, scene: Scene, *, count: int = 1, threads: int = 1, capacity: int = 16):
+        self.scene = scene
+        self.robot = scene.robot
+        self.sim = SimBatch(
+            scene, count=count, control_period_s=CONTROL_PERIOD_S, threads=threads
+        )
+        self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
+        self.action = np.zeros((count, len(self.robot.joints)))
+
+    def place(self, row: int, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
+        """Put robot `row` into a state and forget its last action."""
+        self.sim.reset(np.array([row]), qpos[None], None if qvel is None else qvel[None])
+        self.action[row] = 0.0
+
+    def follow(self, row: int, track: Track, *, wait_ticks: int = 0, walking: bool = False) -> None:
+        """Give robot `row` a track; see `StepCursor.follow`."""
+        self.cursor.follow(row, track, wait_ticks=wait_ticks, walking=walking)
+
+    def observe(self) -> np.ndarray:
+        """The policy's observation of every robot (B, N), before scaling."""
+        return observe(
+            self.robot,
+            qpos=self.sim.qpos,
+            qvel=self.sim.qvel,
+            joint_qpos=self.scene.joint_qpos,
+            joint_qvel=self.scene.joint_qvel,
+            clock=self.cursor.clock,
+            window=self.cursor.window,
+        )
+
+    def act(self, action: np.ndarray) -> np.ndarray:
+        """Advance one control step under the actions (B, J), then the gait clock.
+
+        Returns:
+            True (B,) where a step's period has just ended, as from `StepCursor.advance`.
+        """
+        blend = 0.5 * (action + self.action)
+        self.sim.step(self.robot.half_sitting_rad + blend)
+        self.action = action.copy()
+        return self.cursor.advance()
+
+    def soles_world(self) -> np.ndarray:
+        """Pose x, y, z, yaw of each sole in the world (B, 2, 4) at the last physics step."""
+        latest = self.sim.sensors[:, -1]
+        position = latest[:, self.scene.sensors.sole_pos_world]
+        axis = latest[:, self.scene.sensors.sole_x_axis_world]
+        yaw = np.arctan2(axis[..., 1], axis[..., 0])
+        return np.concatenate([position, yaw[..., None]], axis=2)

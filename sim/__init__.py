@@ -1,0 +1,1 @@
+"""The robots and their physics: models, scenes, many simulations at once."""

@@ -1,0 +1,65 @@
+"""Many simulations of one scene, stepped together; one simulation is a batch of one."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+
+from sim.scene import Scene
+
+
+class SimBatch:
+    """B simulations of a scene under joint position targets.
+
+    `qpos` (B, nq) and `qvel` (B, nv) are live views of the states: writing them sets the
+    states. `sensors` (B, S, nsensordata) holds every sensor at each of the S physics steps of
+    the last `step()`. `failed` (B,) marks the simulations whose last step raised in MuJoCo or
+    left a state that is not finite; they must be reset.
+    """
+
+    def __init__(self, scene: Scene, *, count: int, control_period_s: float, threads: int = 1):
+        """Set `count` simulations up in half-sitting at the origin.
+
+        Raises:
+            ValueError: the control period is not a whole number of physics steps.
+        """
+        timestep_s = scene.model.opt.timestep
+        substeps = round(control_period_s / timestep_s)
+        if substeps < 1 or abs(substeps * timestep_s - control_period_s) > 1e-9:
+            raise ValueError(
+                f"control period {control_period_s} s is not a whole number of physics steps "
+                f"of {timestep_s} s"
+            )
+        self.scene = scene
+        self.count = count
+        self.substeps = substeps
+        self._batch = Batch(scene.model, count, threads)
+        self.qpos = self._batch.bind("qpos")
+        self.qvel = self._batch.bind("qvel")
+        self._ctrl = self._batch.bind("ctrl")
+        self.sensors = np.zeros((count, substeps, scene.model.nsensordata))
+        self.failed = np.zeros(count, dtype=bool)
+        self.reset(np.arange(count), np.tile(scene.standing_qpos, (count, 1)))
+
+    def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
+        """Put simulations `ids` (n,) into the states qpos (n, nq), qvel (n, nv; default rest)."""
+        if len(ids) == 0:
+            return
+        self._batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self.qpos[ids] = qpos
+        self.qvel[ids] = 0.0 if qvel is None else qvel
+        self.failed[ids] = False
+
+    def step(self, targets_rad: np.ndarray) -> None:
+        """Advance all by one control period with the joint targets (B, J) held."""
+        self._ctrl[:] = targets_rad
+        self.failed[:] = False
+        try:
+            self._batch.rollout(
+                self.substeps, record=("sensordata",), out={"sensordata": self.sensors}
+            )
+        except SimulationError as error:
+            self.failed[error.ids] = True
+        self.failed |= ~np.isfinite(self.qpos).all(axis=1)
+        self.failed |= ~np.isfinite(self.qvel).all(axis=1)

@@ -1,0 +1,105 @@
+"""What is special about one robot: a value that names it, and the rules its model keeps to.
+
+A robot is one file in `sim/robots/` that defines `ROBOT`. Its `build()` returns an `MjSpec`
+that keeps to these names, so that no other file knows the robot's own:
+
+| element | name | |
+|---|---|---|
+| body | `pelvis` | carries the free joint `root`, x forward, z up |
+| bodies | `left_leg`, `right_leg` | first body of each leg; the whole leg is its subtree |
+| joints | `Robot.joints[i].name` | the actuated ones, no others |
+| geoms | `left_foot`, `right_foot` | the sole boxes, footprint equal to `step_model.foot` |
+| sites | `left_sole`, `right_sole` | centre of the sole's underside, x along the foot |
+| site | `head` | for the upright-posture reward |
+
+Collision geoms are in group 3, visual ones in group 2 (no contacts).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.model import StepModel
+
+if TYPE_CHECKING:
+    import mujoco
+
+PHYSICS_GROUP = 3
+VISUAL_GROUP = 2
+
+# Contact bits: (contype, conaffinity). Two geoms touch when one's type meets the other's affinity.
+# Everything of the robot can touch its surroundings; of the robot itself only leg meets leg.
+SURROUNDINGS_BITS = (1, 0)
+UPPER_BODY_BITS = (0, 1)
+LEFT_LEG_BITS = (2, 1 | 4)
+RIGHT_LEG_BITS = (4, 1 | 2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegJoint:
+    """One actuated joint: a position servo with torque `kp (target - q) - kd dq`, clipped.
+
+    `mirror_sign` is +1 where the joint of the other leg has the same angle in the mirrored
+    posture (pitch), -1 where it has the opposite one (roll, yaw).
+    """
+
+    name: str
+    kp: float
+    kd: float
+    torque_limit_nm: float
+    speed_limit_rad_s: float
+    armature_kg_m2: float
+    half_sitting_rad: float
+    mirror_sign: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaitTiming:
+    """Durations of one step: the swing (single support), then both feet down."""
+
+    single_support_s: float
+    double_support_s: float
+
+    @property
+    def step_s(self) -> float:
+        """Seconds from one foot's lift-off to the other's."""
+        return self.single_support_s + self.double_support_s
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """Everything that is special about one robot.
+
+    `joints` holds the left leg's joints, then the right leg's in the same order. The pelvis
+    height (m, above the sole) and pitch are those of the half-sitting posture with flat soles.
+    An episode ends, and a walk counts as fallen, when the pelvis is less than
+    `fallen_height_m` above the lower foot.
+    """
+
+    name: str
+    title: str
+    step_model: StepModel
+    gait: GaitTiming
+    joints: tuple[LegJoint, ...]
+    mass_kg: float
+    pelvis_height_m: float
+    pelvis_pitch_rad: float
+    fallen_height_m: float
+    build: Callable[[], mujoco.MjSpec]
+
+    @cached_property
+    def half_sitting_rad(self) -> np.ndarray:
+        """Joint angles (J,) of the half-sitting posture."""
+        return np.array([joint.half_sitting_rad for joint in self.joints])
+
+    @cached_property
+    def mirror_joints(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index (J,) and sign (J,) such that mirrored = sign * angles[..., index]."""
+        half = len(self.joints) // 2
+        index = np.r_[half : 2 * half, 0:half]
+        return index, np.array([float(joint.mirror_sign) for joint in self.joints])

@@ -1,0 +1,198 @@
+"""JVRC-1: 62.4 kg, 1.71 m, 12 leg joints; arms, waist and neck held fixed.
+
+Masses, inertias, axes, joint ranges and speed limits are those of the URDF in the PyPI package
+`jvrc-description` 1.1.1 (CNRS-UM LIRMM / CNRS-AIST JRL, S. Caron). The URDF has neither rotor
+inertia nor real torque limits: armature is from the MJCF model of the same robot
+(isri-aist/jvrc_mj_description), torque limits from its 2022 edition, servo gains, half-sitting
+posture and gait durations from the reference code of Singh et al. 2022
+(LearningHumanoidWalking, `envs/jvrc/configs/base.yaml` and `tasks/stepping_task.py`).
+The sole box is that model's. Our own choices: arms that hang closer to the body than the
+reference's, so that the robot is 0.62 m wide, and the capsules that stand for legs and body.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from sim.robot import (
+    LEFT_LEG_BITS,
+    PHYSICS_GROUP,
+    RIGHT_LEG_BITS,
+    UPPER_BODY_BITS,
+    GaitTiming,
+    LegJoint,
+    Robot,
+)
+
+if TYPE_CHECKING:
+    import mujoco
+
+FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.20, 0.10, 0.02
+SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.029, 0.10778
+
+# Held posture of the joints that the policy does not move; all others of the upper body at 0.
+ARM_POSE_RAD = {
+    "R_SHOULDER_P": 0.15,
+    "L_SHOULDER_P": 0.15,
+    "R_SHOULDER_R": -0.04,
+    "L_SHOULDER_R": 0.04,
+    "R_ELBOW_P": -0.5,
+    "L_ELBOW_P": -0.5,
+}
+
+# name, kp, kd, torque limit, speed limit, armature, half-sitting (deg), mirror sign
+_LEG = (
+    ("HIP_P", 200, 20, 600, 12.56636, 0.1925, -30, 1),
+    ("HIP_R", 200, 20, 600, 8.90117, 0.1813, 0, -1),
+    ("HIP_Y", 200, 20, 250, 8.90117, 0.1237, 0, -1),
+    ("KNEE", 250, 25, 1420, 14.66075, 0.1305, 50, 1),
+    ("ANKLE_R", 80, 8, 300, 15.18435, 0.0653, 0, -1),
+    ("ANKLE_P", 80, 8, 250, 14.18435, 0.1337, -24, 1),
+)
+
+
+def _joints() -> tuple[LegJoint, ...]:
+    return tuple(
+        LegJoint(
+            name=f"{side}_{name}",
+            kp=kp,
+            kd=kd,
+            torque_limit_nm=torque,
+            speed_limit_rad_s=speed,
+            armature_kg_m2=armature,
+            half_sitting_rad=math.radians(angle_deg),
+            mirror_sign=sign,
+        )
+        for side in "LR"
+        for name, kp, kd, torque, speed, armature, angle_deg, sign in _LEG
+    )
+
+
+def _urdf_without_meshes() -> str:
+    """The URDF's text without visuals and collisions: MuJoCo does not read .dae meshes."""
+    import jvrc_description
+
+    root = ET.parse(jvrc_description.urdf_path).getroot()
+    for link in root.findall("link"):
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                link.remove(element)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _hold(joint: mujoco.MjsJoint, angle_rad: float) -> None:
+    """Turn the joint's body to the angle, so that the joint can be deleted."""
+    import mujoco
+
+    turn, held = np.empty(4), np.empty(4)
+    mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle_rad)
+    mujoco.mju_mulQuat(held, np.asarray(joint.parent.quat, float), turn)
+    joint.parent.quat = held
+
+
+def _capsule(
+    body: mujoco.MjsBody,
+    name: str,
+    ends_m: tuple[tuple[float, float, float], tuple[float, float, float]],
+    radius_m: float,
+    bits: tuple[int, int],
+) -> None:
+    """Add a massless capsule between two points of the body's frame."""
+    import mujoco
+
+    body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        fromto=[*ends_m[0], *ends_m[1]],
+        size=[radius_m, 0, 0],
+        group=PHYSICS_GROUP,
+        contype=bits[0],
+        conaffinity=bits[1],
+        mass=0,
+    )
+
+
+def _add_leg_shapes(spec: mujoco.MjSpec, side: str, prefix: str, bits: tuple[int, int]) -> None:
+    import mujoco
+
+    spec.body(f"{prefix}_HIP_P_S").name = f"{side}_leg"
+    thigh, shank = spec.body(f"{prefix}_HIP_Y_S"), spec.body(f"{prefix}_KNEE_S")
+    foot = spec.body(f"{prefix}_ANKLE_P_S")
+    _capsule(thigh, f"{side}_thigh", ((0.01, 0, -0.10), (0, 0, -0.35)), 0.055, bits)
+    _capsule(shank, f"{side}_shank", ((0.03, 0, -0.03), (0.04, 0, -0.32)), 0.053, bits)
+    foot.add_geom(
+        name=f"{side}_foot",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[SOLE_CENTRE_X_M, 0, SOLE_THICKNESS_M / 2 - ANKLE_HEIGHT_M],
+        size=[FOOT_LENGTH_M / 2, FOOT_WIDTH_M / 2, SOLE_THICKNESS_M / 2],
+        group=PHYSICS_GROUP,
+        contype=bits[0],
+        conaffinity=bits[1],
+        mass=0,
+    )
+    foot.add_site(name=f"{side}_sole", pos=[SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M])
+
+
+def _add_upper_body_shapes(spec: mujoco.MjSpec) -> None:
+    """Capsules that cover the meshes of the package to within about a centimetre."""
+    bits = UPPER_BODY_BITS
+    pelvis, chest, head = spec.body("pelvis"), spec.body("WAIST_R_S"), spec.body("NECK_P_S")
+    _capsule(pelvis, "hips", ((0, -0.04, 0.04), (0, 0.04, 0.04)), 0.11, bits)
+    _capsule(chest, "chest", ((0.01, -0.07, 0.16), (0.01, 0.07, 0.16)), 0.11, bits)
+    _capsule(chest, "shoulders", ((0, -0.24, 0.33), (0, 0.24, 0.33)), 0.06, bits)
+    _capsule(head, "head", ((0.01, 0, 0.05), (0.01, 0, 0.11)), 0.10, bits)
+    head.add_site(name="head", pos=[0.01, 0, 0.11])
+    for side, prefix in (("left", "L"), ("right", "R")):
+        upper, fore = spec.body(f"{prefix}_SHOULDER_Y_S"), spec.body(f"{prefix}_ELBOW_P_S")
+        _capsule(upper, f"{side}_upper_arm", ((-0.01, 0, -0.05), (0, 0, -0.29)), 0.045, bits)
+        _capsule(fore, f"{side}_forearm", ((-0.01, 0, -0.03), (0, 0, -0.40)), 0.042, bits)
+
+
+def build() -> mujoco.MjSpec:
+    """The model: bodies and joints from the URDF, collision shapes of our own."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string(_urdf_without_meshes())
+    # Links without a joint of their own are merged into their parents: 13 bodies move.
+    spec.compiler.fusestatic = True
+    # The empty root link takes the free joint, and so the name; the pelvis link merges into it.
+    pelvis = spec.body("base_link")
+    pelvis.name = "pelvis"
+    pelvis.add_freejoint(name="root")
+    for equality in list(spec.equalities):  # the fingers' mimic constraints
+        spec.delete(equality)
+    legs = {joint.name for joint in _joints()}
+    for joint in list(spec.joints):
+        if joint.name in legs or joint.type == mujoco.mjtJoint.mjJNT_FREE:
+            continue
+        _hold(joint, ARM_POSE_RAD.get(joint.name, 0.0))
+        spec.delete(joint)
+    for side, prefix, bits in (("left", "L", LEFT_LEG_BITS), ("right", "R", RIGHT_LEG_BITS)):
+        _add_leg_shapes(spec, side, prefix, bits)
+    _add_upper_body_shapes(spec)
+    return spec
+
+
+ROBOT = Robot(
+    name="jvrc1",
+    title="JVRC-1",
+    step_model=StepModel(
+        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        body=BodyShape(length_m=0.40, width_m=0.62),
+        limits=StepLimits(x_m=(-0.20, 0.35), y_m=(0.16, 0.36), yaw_rad=(-0.2, 0.4)),
+        steps=((0,.2,0),),
+        stance_width_m=0.2,
+    ),
+    gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
+    joints=_joints(),
+    mass_kg=62.4,
+    pelvis_height_m=0.8086,
+    pelvis_pitch_rad=math.radians(4.0),
+    fallen_height_m=0.60,
+    build=build,
+)

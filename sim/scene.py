@@ -1,0 +1,189 @@
+"""Robot, floor and walls put together into one MuJoCo model."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from sim.robot import PHYSICS_GROUP, SURROUNDINGS_BITS, VISUAL_GROUP, Robot
+from sim.sensors import SIDES, Sensors, add_sensors
+
+WALL_HEIGHT_M = 1.0
+WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Walls:
+    """Upright boxes on the floor, from a map.
+
+    `boxes_m` is (n, 4): centre x, centre y, half length x, half length y in the map's own
+    frame; `origin` is that frame's pose x_m, y_m, yaw_rad in the world.
+    """
+
+    boxes_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """A compiled model, and where its parts lie in MuJoCo's arrays.
+
+    `joint_qpos` and `joint_qvel` (J,) index the robot's joints, in the order of `robot.joints`;
+    the free joint is qpos[0:7] (x, y, z, then quaternion w, x, y, z) and qvel[0:6] (linear in
+    world axes, angular in the pelvis's own). Controls are joint targets (J,) in rad.
+    """
+
+    robot: Robot
+    model: mujoco.MjModel
+    sensors: Sensors
+    joint_qpos: np.ndarray
+    joint_qvel: np.ndarray
+    standing_qpos: np.ndarray
+
+    def soles_at(self, qpos: np.ndarray) -> np.ndarray:
+        """Pose x, y, z, yaw of each sole (2, 4) in the world, left then right, at qpos (nq,)."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, data)
+        sites = [data.site(f"{side}_sole") for side in SIDES]
+        return np.array([[*s.xpos, math.atan2(s.xmat[3], s.xmat[0])] for s in sites])
+
+
+def build_scene(
+    robot: Robot, *, timestep_s: float, walls: Walls | None = None, visuals: bool = False
+) -> Scene:
+    """The robot in half-sitting on a floor among walls.
+
+    With `visuals` the model also gets sky, light, floor pattern and the robot's meshes, if it
+    has any; they change nothing in the physics.
+    """
+    spec = robot.build()
+    spec.modelname = robot.name
+    spec.option.timestep = timestep_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    _add_servos(spec, robot)
+    _add_floor(spec, visuals)
+    _add_walls(spec, walls or Walls())
+    add_sensors(spec, robot)
+    if visuals:
+        _add_looks(spec, robot)
+    model = spec.compile()
+    joints = [model.joint(joint.name) for joint in robot.joints]
+    joint_qpos = np.array([joint.qposadr[0] for joint in joints])
+    return Scene(
+        robot=robot,
+        model=model,
+        sensors=Sensors.of(model, robot),
+        joint_qpos=joint_qpos,
+        joint_qvel=np.array([joint.dofadr[0] for joint in joints]),
+        standing_qpos=_standing_qpos(robot, model, joint_qpos),
+    )
+
+
+def qpos_at(scene: Scene, pose: np.ndarray, ground_z_m: float = 0.0) -> np.ndarray:
+    """Half-sitting qpos (nq,) whose soles' midpoint is at the pose x_m, y_m, yaw_rad."""
+    qpos = scene.standing_qpos.copy()
+    x, y, yaw = pose
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    offset_x, offset_y = qpos[0], qpos[1]
+    qpos[0] = x + cos * offset_x - sin * offset_y
+    qpos[1] = y + sin * offset_x + cos * offset_y
+    qpos[2] += ground_z_m
+    turn = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+    turned = np.empty(4)
+    mujoco.mju_mulQuat(turned, turn, qpos[3:7])
+    qpos[3:7] = turned
+    return qpos
+
+
+def _standing_qpos(robot: Robot, model: mujoco.MjModel, joint_qpos: np.ndarray) -> np.ndarray:
+    """Half-sitting with flat soles on the ground, their midpoint at the origin, facing +x."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    data.qpos[2] = robot.pelvis_height_m
+    pitch = robot.pelvis_pitch_rad
+    data.qpos[3:7] = [math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0]
+    data.qpos[joint_qpos] = robot.half_sitting_rad
+    mujoco.mj_kinematics(model, data)
+    soles = np.stack([data.site(f"{side}_sole").xpos for side in SIDES])
+    data.qpos[0:3] -= soles.mean(axis=0)
+    return np.array(data.qpos)
+
+
+def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Position servos in the order of the robot's joints, with torque limits and armature."""
+    for leg_joint in robot.joints:
+        joint = spec.joint(leg_joint.name)
+        joint.armature = leg_joint.armature_kg_m2
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        limit = leg_joint.torque_limit_nm
+        actuator = spec.add_actuator(
+            name=leg_joint.name,
+            target=leg_joint.name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            forcelimited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            forcerange=[-limit, limit],
+        )
+        actuator.set_to_position(kp=leg_joint.kp, kv=leg_joint.kd)
+
+
+def _add_floor(spec: mujoco.MjSpec, visuals: bool) -> None:
+    contype, conaffinity = SURROUNDINGS_BITS
+    floor = spec.worldbody.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        contype=contype,
+        conaffinity=conaffinity,
+    )
+    if visuals:
+        floor.material = "floor"
+
+
+def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
+    """All walls in one body named `walls`, which is there also when the map has none."""
+    x, y, yaw = walls.origin
+    body = spec.worldbody.add_body(
+        name="walls", pos=[x, y, 0], quat=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+    )
+    contype, conaffinity = SURROUNDINGS_BITS
+    for centre_x, centre_y, half_x, half_y in walls.boxes_m:
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[centre_x, centre_y, WALL_HEIGHT_M / 2],
+            size=[half_x, half_y, WALL_HEIGHT_M / 2],
+            contype=contype,
+            conaffinity=conaffinity,
+            rgba=WALL_RGBA,
+        )
+
+
+def _add_looks(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Sky, light and floor pattern; collision shapes are shown only where there are no meshes."""
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.75, 0.83, 0.92],
+        rgb2=[0.98, 0.98, 1.0],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.86, 0.87, 0.88],
+        rgb2=[0.80, 0.81, 0.83],
+        width=256,
+        height=256,
+    )
+    textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
+    textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "floor"
+    spec.add_material(name="floor", textures=textures, texrepeat=[1, 1], texuniform=True)
+    spec.worldbody.add_light(
+        pos=[0, 0, 6], dir=[0.2, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    )

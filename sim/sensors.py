@@ -1,0 +1,120 @@
+"""The named sensors of every scene: all that rewards, reports and termination read.
+
+Sensors describe the state before the last physics step, as in MuJoCo. Units: m, m/s, N, N m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from sim.robot import Robot
+
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """Where each sensor lies in `sensordata`, grouped by meaning; left before right.
+
+    Each field is an index array into the last axis of sensordata.
+    """
+
+    sole_pos_world: np.ndarray  # (2, 3)
+    sole_x_axis_world: np.ndarray  # (2, 3) along the foot
+    sole_linvel_world: np.ndarray  # (2, 3)
+    ground_force_world: np.ndarray  # (2, 3) on the foot
+    head_pos_world: np.ndarray  # (3,)
+    pelvis_pos_world: np.ndarray  # (3,)
+    pelvis_linvel_world: np.ndarray  # (3,)
+    legs_touching: np.ndarray  # (1,) number of contacts between the legs
+    wall_contacts: np.ndarray  # (1,) number of contacts between robot and walls
+    joint_torque: np.ndarray  # (J,)
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, robot: Robot) -> Sensors:
+        """Look the sensors of `add_sensors` up in a compiled model."""
+
+        def at(name: str) -> np.ndarray:
+            sensor = model.sensor(name)
+            return np.arange(sensor.adr[0], sensor.adr[0] + sensor.dim[0])
+
+        def both(name: str) -> np.ndarray:
+            return np.stack([at(f"{side}_{name}") for side in SIDES])
+
+        return cls(
+            sole_pos_world=both("sole_pos"),
+            sole_x_axis_world=both("sole_x_axis"),
+            sole_linvel_world=both("sole_linvel"),
+            ground_force_world=both("ground_force"),
+            head_pos_world=at("head_pos"),
+            pelvis_pos_world=at("pelvis_pos"),
+            pelvis_linvel_world=at("pelvis_linvel"),
+            legs_touching=at("legs_touching"),
+            wall_contacts=at("wall_contacts"),
+            joint_torque=np.concatenate([at(f"{j.name}_torque") for j in robot.joints]),
+        )
+
+
+def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
+    """Add every sensor to a scene that has the robot and a body named `walls`."""
+    sensor, objects = mujoco.mjtSensor, mujoco.mjtObj
+
+    def frame(name: str, kind: mujoco.mjtSensor, object_type: mujoco.mjtObj, of: str) -> None:
+        spec.add_sensor(name=name, type=kind, objtype=object_type, objname=of)
+
+    for side in SIDES:
+        sole = f"{side}_sole"
+        frame(f"{sole}_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, sole)
+        frame(f"{sole}_x_axis", sensor.mjSENS_FRAMEXAXIS, objects.mjOBJ_SITE, sole)
+        frame(f"{sole}_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_SITE, sole)
+        _contact(
+            spec,
+            f"{side}_ground_force",
+            None,
+            (objects.mjOBJ_GEOM, f"{side}_foot"),
+            mujoco.mjtConDataField.mjCONDATA_FORCE,
+        )
+    frame("head_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, "head")
+    frame("pelvis_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_XBODY, "pelvis")
+    frame("pelvis_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_XBODY, "pelvis")
+    found = mujoco.mjtConDataField.mjCONDATA_FOUND
+    left, right = ((objects.mjOBJ_XBODY, f"{side}_leg") for side in SIDES)
+    _contact(spec, "legs_touching", left, right, found)
+    walls = (objects.mjOBJ_XBODY, "walls")
+    _contact(spec, "wall_contacts", (objects.mjOBJ_XBODY, "pelvis"), walls, found)
+    for joint in robot.joints:
+        frame(
+            f"{joint.name}_torque",
+            sensor.mjSENS_JOINTACTFRC,
+            objects.mjOBJ_JOINT,
+            joint.name,
+        )
+
+
+def _contact(
+    spec: mujoco.MjSpec,
+    name: str,
+    first: tuple[mujoco.mjtObj, str] | None,
+    second: tuple[mujoco.mjtObj, str],
+    field: mujoco.mjtConDataField,
+) -> None:
+    """A contact sensor: the net of all contacts between the two; no first means anything.
+
+    A force is the one that the first exerts on the second, in world axes.
+    """
+    extra: dict[str, Any] = {}
+    if first is not None:
+        extra = {"objtype": first[0], "objname": first[1]}
+    net_force = 3  # mjSENS_CONTACT's reduction over all matching contacts, in world axes
+    spec.add_sensor(
+        name=name,
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        reftype=second[0],
+        refname=second[1],
+        intprm=[1 << int(field), net_force, 1],
+        **extra,
+    )
