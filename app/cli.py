@@ -26,7 +26,8 @@ def main(arguments: Sequence[str]) -> int:
             sys.stdout.flush()
             return code
     except InputError as error:
-        print(f"error: {one_line(error)}", file=sys.stderr)
+        # One line, but for a map without its YAML: that message shows the lines to write.
+        print(f"error: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

@@ -41,11 +41,23 @@ def _load(place: str) -> Any:
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
+        "navigate": Command(
+            summary="plan, walk the plan in MuJoCo with the trained policy, report",
+            options="app.navigate_options:NavigateOptions",
+            run="app.navigate_options:run",
+            example="navigate --map maps/room.png --goal 2,1,1.57",
+        ),
         "plan": Command(
             summary="plan footsteps from a start to a goal on a map",
             options="app.plan:PlanOptions",
             run="app.plan:run",
             example="plan --map maps/room.png --goal 2,1,1.57 --image plan.png",
+        ),
+        "train": Command(
+            summary="train the policy that walks",
+            options="app.train_options:TrainOptions",
+            run="app.train:run",
+            example="train --robot jvrc1 --out runs/train",
         ),
     }
 )

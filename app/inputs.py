@@ -24,8 +24,7 @@ class MapOptions:
     """Metres per pixel, such as 0.05, for an image without a YAML; wins over the YAML's."""
 
     origin: OptionalPose = None
-    """Pose of the map's lower-left corner, such as -4,-3,0; wins over the YAML's. In the form
-    that needs no YAML it is 0,0,0 unless given."""
+    """Pose of the map's lower-left corner, such as -4,-3,0; wins over the YAML's."""
 
     unknown_is_free: bool = False
     """Let the robot step on cells of which the map says neither free nor occupied."""

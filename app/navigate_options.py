@@ -1,13 +1,16 @@
-"""The options of `navigate`, apart from what carries it out: the help must not load a simulator."""
+"""The options of `navigate`, and what comes before MuJoCo is loaded: the help needs no more."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from app.inputs import MapOptions, RobotName
 from app.options import FolderOption, OptionalFile, Pose, PoseOption, whole_number
+from app.progress import say
+from app.rendering import NoGlError, prepare_gl
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +32,7 @@ class NavigateOptions(MapOptions):
     """Which robot, such as jvrc1."""
 
     policy: OptionalFile = None
-    """The policy that walks, such as runs/mine/policy.safetensors; none for the one that comes
-    with the robot."""
+    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 
     seed: Annotated[int, whole_number(at_least=0)] = 0
     """Seed of everything random, such as 7."""
@@ -49,3 +51,26 @@ class NavigateOptions(MapOptions):
 
     json: bool = False
     """Print report.json on standard output, and nothing else there."""
+
+    @property
+    def draws_robot(self) -> bool:
+        """Whether anything is asked for that needs a GL library."""
+        return not (self.video is None and self.strip is None and self.gait_strip is None)
+
+
+def run(options: NavigateOptions) -> int:
+    """Carries the command out; returns the exit code.
+
+    MuJoCo reads the choice of GL library when it is imported, so it is made here, before. Without
+    one the walk takes place all the same, and one line says what is missing.
+    """
+    if options.draws_robot:
+        try:
+            prepare_gl()
+        except NoGlError as error:
+            say(f"warning: {error}; going on without film and strips")
+            options = dataclasses.replace(options, video=None, strip=None, gait_strip=None)
+
+    from app import navigate
+
+    return navigate.run(options)

@@ -116,8 +116,8 @@ def _spec(metavar: str, read: Callable[[list[str]], Any]) -> PrimitiveConstructo
 
 PoseOption = Annotated[Pose, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
 OptionalPose = Annotated[Pose | None, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
-OptionalNumber = Annotated[float | None, number()]
 OptionalLength = Annotated[float | None, number(above=0)]
+OptionalTime = Annotated[float | None, number(above=0)]
 FileOption = Annotated[Path, _spec("FILE", lambda words: Path(words[0]))]
 OptionalFile = Annotated[Path | None, _spec("FILE", lambda words: Path(words[0]))]
 FolderOption = Annotated[Path, _spec("DIR", lambda words: Path(words[0]))]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import inspect
 from collections.abc import Sequence
 from typing import Any, TypeVar
 
@@ -37,7 +38,7 @@ def parse_options(
     def complain(event: tyro_errors.ParseErrorEvent) -> None:
         raise InputError(_message(event, kind, program))
 
-    description = f"{kind.__doc__}\n\nexample:\n  {example}"
+    description = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nexample:\n  {example}"
     with tyro_errors.on_parse_error(complain):
         return tyro.cli(
             kind,

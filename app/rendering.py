@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from app.cutaway import GLASS_ALPHA, eye_position, fixed_boxes, hides, points_to_see
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -159,6 +162,13 @@ class Drawer:
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         self._camera.distance = view.distance_m
         self._camera.elevation = view.elevation_deg
+        self._shown = mujoco.MjvOption()
+        # A robot without meshes is drawn by the shapes that it collides with.
+        has_meshes = np.any(renderer.model.geom_group == VISUAL_GROUP)
+        self._shown.geomgroup[PHYSICS_GROUP] = not has_meshes
+        mujoco.mj_kinematics(renderer.model, data)
+        self._walls = fixed_boxes(renderer.model, data)
+        self._alpha = np.array(renderer.model.geom_rgba[self._walls.geom, 3])
 
     def draw(self, index: int) -> Picture:
         """The picture (height, width, 3), red green blue, of moment `index`."""
@@ -169,8 +179,19 @@ class Drawer:
         mujoco.mj_camlight(self._renderer.model, self._data)
         self._camera.lookat[:] = self._path.lookat_m[index]
         self._camera.azimuth = self._path.azimuth_deg[index]
-        self._renderer.update_scene(self._data, self._camera)
+        self._make_glass()
+        self._renderer.update_scene(self._data, self._camera, self._shown)
         return np.array(self._renderer.render())
+
+    def _make_glass(self) -> None:
+        """Makes the walls that hide the robot from the camera see-through, the others as were."""
+        camera = self._camera
+        eye_m = eye_position(camera.lookat, camera.distance, camera.azimuth, camera.elevation)
+        points_m = points_to_see(np.array(self._data.qpos[:2]), eye_m)
+        hidden_by = hides(self._walls, eye_m, points_m)
+        self._renderer.model.geom_rgba[self._walls.geom, 3] = np.where(
+            hidden_by, np.minimum(GLASS_ALPHA, self._alpha), self._alpha
+        )
 
 
 @contextmanager
@@ -186,7 +207,8 @@ def drawing(
     """Gives a Drawer of pictures of this size.
 
     Shadows, reflections and smooth edges are drawn when `fine`: without a graphics card they
-    take six times as long. The model's rendering settings are changed, nothing else of it.
+    take six times as long. Walls that hide the robot are drawn as glass. What this changes of the
+    model are rendering settings and colours.
 
     Raises:
         NoGlError: The renderer cannot be had. Was `prepare_gl` called before MuJoCo's import?

@@ -1,0 +1,90 @@
+"""Which walls stand between the camera and the robot, so that they can be drawn as glass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mujoco
+
+FloatArray = NDArray[np.float64]
+
+GLASS_ALPHA = 0.18
+# Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
+_SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
+_SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boxes:
+    """Boxes that never move: geom (n,) index in the model; the rest in the world frame.
+
+    centre_m (n, 3); T_world_box (n, 3, 3) takes directions of the box to the world;
+    half_m (n, 3) half lengths.
+    """
+
+    geom: NDArray[np.intp]
+    centre_m: FloatArray
+    T_world_box: FloatArray
+    half_m: FloatArray
+
+
+def fixed_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> Boxes:
+    """The box geoms of the model that are welded to the world; data holds their poses."""
+    import mujoco
+
+    is_box = model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    geom = np.flatnonzero(is_box & is_fixed)
+    return Boxes(
+        geom=geom,
+        centre_m=np.array(data.geom_xpos[geom]),
+        T_world_box=np.array(data.geom_xmat[geom]).reshape(-1, 3, 3),
+        half_m=np.array(model.geom_size[geom]),
+    )
+
+
+def hides(boxes: Boxes, eye_m: FloatArray, points_m: FloatArray) -> NDArray[np.bool_]:
+    """Whether each box (n,) cuts the line from the eye (3,) to any of the points (m, 3)."""
+    # Slab test in each box's own frame: line = eye + t (point - eye), 0 <= t <= 1.
+    eye = np.einsum("nji,nj->ni", boxes.T_world_box, eye_m - boxes.centre_m)[:, None, :]
+    along = np.einsum("nji,mj->nmi", boxes.T_world_box, points_m - eye_m)
+    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+    half = boxes.half_m[:, None, :]
+    one, other = (-half - eye) / along, (half - eye) / along
+    enter = np.minimum(one, other).max(axis=2)
+    leave = np.maximum(one, other).min(axis=2)
+    cut: NDArray[np.bool_] = ((enter <= leave) & (leave >= 0) & (enter <= 1)).any(axis=1)
+    return cut
+
+
+def points_to_see(place_m: FloatArray, eye_m: FloatArray) -> FloatArray:
+    """Points (m, 3) of a robot that stands at the place (2,), spread as the eye (3,) sees it."""
+    towards = place_m - eye_m[:2]
+    sideways = np.array([-towards[1], towards[0]]) / max(1e-9, float(np.hypot(*towards)))
+    return np.array(
+        [
+            [*(place_m + offset_m * sideways), height_m]
+            for height_m in _SEEN_HEIGHTS_M
+            for offset_m in _SEEN_OFFSETS_M
+        ]
+    )
+
+
+def eye_position(
+    lookat_m: FloatArray, distance_m: float, azimuth_deg: float, elevation_deg: float
+) -> FloatArray:
+    """Where MuJoCo's free camera with these settings is, (3,) in the world frame."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    forward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    return np.asarray(lookat_m, dtype=float) - distance_m * forward

@@ -1,0 +1,105 @@
+"""The command `plan`: footsteps from a start to a goal, as a file, a picture and a summary."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Annotated
+
+from app.errors import ExitCode
+from app.inputs import MapOptions, RobotName, find_robot, read_grid
+from app.options import OptionalFile, OptionalTime, Pose, PoseOption, choice, number
+from app.output import require_writable, write_text
+from app.progress import say
+from planner.options import PLANNERS, PlannerOptions
+from planner.plan import FootstepPlan
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions(MapOptions):
+    """Plan footsteps from a start to a goal on a map.
+
+    The exit code is 0 when a plan is found, 2 when the input is wrong, and 3 when there is no
+    plan; then the reason says which foot or what stands in the way.
+    """
+
+    goal: PoseOption
+    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where the robot stands at first, such as -1,2,0."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    out: OptionalFile = None
+    """Write the plan to this file, such as plan.json."""
+
+    image: OptionalFile = None
+    """Draw the plan over the map into this file, such as plan.png."""
+
+    planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
+    """Which search, such as ara."""
+
+    epsilon: Annotated[float, number(at_least=1.0)] = PlannerOptions.epsilon
+    """Bound that the search begins with, such as 3; it goes down to 1, the optimum."""
+
+    time_limit: OptionalTime = None
+    """Seconds after which the best plan so far is taken, such as 0.5."""
+
+    json: bool = False
+    """Print plan.json on standard output, and nothing else there."""
+
+
+def run(options: PlanOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    for option, path in (("--out", options.out), ("--image", options.image)):
+        if path is not None:
+            require_writable(path, option=option)
+    robot = find_robot(options.robot)
+    grid = read_grid(options)
+
+    # Here and not above: the compiled search takes a second to load, bad input need not wait.
+    from planner.api import plan_footsteps
+
+    search = PlannerOptions(
+        name=options.planner,
+        epsilon=options.epsilon,
+        time_limit_s=options.time_limit,
+        unknown_is_free=options.unknown_is_free,
+    )
+    plan = plan_footsteps(
+        grid, robot.step_model, goal=options.goal, start=options.start, options=search
+    )
+    plan = dataclasses.replace(plan, robot=robot.name, map=str(options.map))
+    text = plan.to_json() + "\n"
+    if options.out is not None:
+        write_text(options.out, text)
+    if options.image is not None:
+        from app.path_picture import write_path_picture
+
+        write_path_picture(options.image, grid, robot.step_model, plan)
+    if options.json:
+        print(text, end="")
+    else:
+        print(summary(plan))
+    if not plan.found:
+        say(f"no plan: {plan.status}: {plan.reason}")
+    return ExitCode.DONE if plan.found else ExitCode.NO_PLAN
+
+
+def summary(plan: FootstepPlan) -> str:
+    """What a person wants to know of the plan, in two lines."""
+    effort = (
+        f"{plan.planner}: {plan.expansions} nodes expanded, first plan after "
+        f"{plan.time_to_first_s:.3f} s, {plan.time_s:.3f} s in all"
+    )
+    if not plan.found:
+        return effort
+    return f"{len(plan)} steps, cost {plan.cost_m:.2f} m, {_bound(plan.epsilon)}\n{effort}"
+
+
+def _bound(epsilon: float) -> str:
+    if epsilon == 1.0:
+        return "which is the least there is on the lattice"
+    return f"at most {epsilon:.2f} times the least there is on the lattice"

@@ -1,0 +1,179 @@
+"""Reading of command-line words: what is taken, and the one line that refuses the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+
+from app.cli import PROGRAM
+from app.commands import COMMANDS
+from app.errors import InputError
+from app.options import OptionalFile, Pose, PoseOption, choice, number, whole_number
+from app.parsing import parse_options
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleOptions:
+    """A command for these tests."""
+
+    goal: PoseOption
+    """Where to, such as 2,1,1.57."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where from, such as 1,2,3."""
+
+    epsilon: Annotated[float, number(at_least=1.0)] = 8.0
+    """Bound, such as 2."""
+
+    time_limit: Annotated[float, number(above=0.0)] = 5.0
+    """Seconds, such as 1."""
+
+    count: Annotated[int, whole_number(at_least=1)] = 1
+    """How many, such as 3."""
+
+    planner: Annotated[str, choice("ara", "rstar")] = "ara"
+    """Which, such as ara."""
+
+    out: OptionalFile = None
+    """File, such as plan.json."""
+
+    json: bool = False
+    """Print the document."""
+
+
+def parse(*words: str) -> SampleOptions:
+    return parse_options(SampleOptions, words, program="prog sample", example="prog sample --x 1")
+
+
+def refusal(*words: str) -> str:
+    with pytest.raises(InputError) as caught:
+        parse(*words)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--goal", "-1,2,0"),
+        ("--goal=-1,2,0",),
+        ("--goal", "-1.0,2e0,0"),
+        ("--goal", " -1, 2, 0"),
+        ("--json", "--goal", "-1,2,0"),
+    ],
+)
+def test_a_pose_may_begin_with_a_minus(words):
+    assert parse(*words).goal == Pose(-1.0, 2.0, 0.0)
+
+
+def test_a_pose_may_begin_with_a_bare_point():
+    assert parse("--goal", "-.5,.25,0").goal == Pose(-0.5, 0.25, 0.0)
+
+
+def test_everything_given_is_taken():
+    options = parse(
+        *("--goal", "2,1,1.57", "--start", "1,-1,3", "--epsilon", "3", "--time-limit=0.5"),
+        *("--count", "7", "--planner", "rstar", "--out", "a/b.json", "--json"),
+    )
+    assert options == SampleOptions(
+        goal=Pose(2.0, 1.0, 1.57),
+        start=Pose(1.0, -1.0, 3.0),
+        epsilon=3.0,
+        time_limit=0.5,
+        count=7,
+        planner="rstar",
+        out=Path("a/b.json"),
+        json=True,
+    )
+
+
+def test_what_is_not_given_has_its_default():
+    assert parse("--goal", "0,0,0") == SampleOptions(goal=Pose(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "text", ["2,1", "2,1,0,0", "2,1,x", "nan,0,0", "0,inf,0", "", "2 1 0", ","]
+)
+def test_a_malformed_pose_is_named_with_the_right_form(text):
+    message = refusal("--goal", text)
+    assert message.startswith("--goal: ")
+    assert repr(text) in message
+    assert "2,1,1.57" in message
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--epsilon", "abc"), "--epsilon: 'abc' is not a number of at least 1.0"),
+        (("--epsilon", "0.5"), "--epsilon: '0.5' is not a number of at least 1.0"),
+        (("--epsilon", "nan"), "--epsilon: 'nan' is not a number of at least 1.0"),
+        (("--epsilon", "inf"), "--epsilon: 'inf' is not a number of at least 1.0"),
+        (("--time-limit", "0"), "--time-limit: '0' is not a number above 0.0"),
+        (("--time-limit", "-3"), "--time-limit: '-3' is not a number above 0.0"),
+        (("--count", "1.5"), "--count: '1.5' is not a whole number of at least 1"),
+        (("--count", "0"), "--count: '0' is not a whole number of at least 1"),
+        (("--planner", "rrt"), "--planner: 'rrt' is not one of ara, rstar"),
+    ],
+)
+def test_a_bad_value_is_named_with_what_would_be_right(words, told):
+    assert refusal("--goal", "0,0,0", *words) == told
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--gaol", "0,0,0"), "there is no option --gaol; did you mean --goal?"),
+        (("--goal", "0,0,0", "--bogus", "4"), "there is no option --bogus;"),
+        (("--goal", "0,0,0", "--time_limits=4"), "did you mean --time-limit?"),
+        (("--goal", "0,0,0", "--no-json"), "there is no option --no-json; did you mean --json?"),
+        (("--goal", "0,0,0", "extra"), "'extra' belongs to no option"),
+        (("--goal", "2", "1", "1.57"), "'1' belongs to no option"),
+        ((), "--goal X,Y,YAW must be given"),
+        (("--start", "0,0,0"), "--goal X,Y,YAW must be given"),
+        (("--goal",), "--goal X,Y,YAW was given no value"),
+        (("--goal", "--json"), "--goal X,Y,YAW was given no value"),
+    ],
+)
+def test_wrong_options_are_told_in_one_line(words, told):
+    message = refusal(*words)
+    assert told in message
+    assert message.endswith("'prog sample --help' shows the options")
+    assert "\n" not in message
+
+
+def test_help_shows_every_option_its_default_and_an_example(capsys):
+    with pytest.raises(SystemExit) as left:
+        parse("--help")
+    assert left.value.code == 0
+    text = capsys.readouterr().out
+    for part in (
+        *("--goal X,Y,YAW", "(required)", "--start X,Y,YAW", "(default: 0,0,0)"),
+        *("--epsilon NUMBER", "(default: 8.0)", "--time-limit NUMBER", "(default: 5.0)"),
+        *("--count COUNT", "(default: 1)", "--planner ara|rstar", "(default: ara)"),
+        *("--out FILE", "(default: none)", "--json", "(default: False)", "prog sample --x 1"),
+    ):
+        assert part in text, part
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_for_every_option(name, capsys):
+    command = COMMANDS[name]
+    kind = command.load_options()
+    with pytest.raises(SystemExit):
+        parse_options(kind, ["--help"], program=name, example=f"{PROGRAM} {command.example}")
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    assert f"{PROGRAM} {command.example}" in text
+    for field in kind.__dataclass_fields__:
+        assert f"--{field.replace('_', '-')}" in text
+    assert text.count("such as") >= len(kind.__dataclass_fields__) - text.count("(default: False)")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_example_is_one_that_the_command_takes(name):
+    command = COMMANDS[name]
+    first, *words = command.example.split()
+    assert first == name
+    parse_options(command.load_options(), words, program=name, example="")
+    assert callable(command.load_run())

@@ -1,0 +1,82 @@
+"""Files are written whole or not at all, and never in the place of what is no file."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+
+import pytest
+
+from app.errors import InputError
+from app.output import make_folder, replacing, require_writable, write_text
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
+    path = tmp_path / "plan.json"
+    path.write_text("old")
+    with contextlib.suppress(ZeroDivisionError), replacing(path) as temporary:
+        temporary.write_text("half")
+        raise ZeroDivisionError
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_temporary_file_keeps_the_ending(tmp_path):
+    with replacing(tmp_path / "a.png") as temporary:
+        assert temporary.suffix == ".png"
+        assert temporary.parent == tmp_path
+
+
+def test_a_new_file_has_the_rights_that_a_new_file_gets(tmp_path):
+    plain = tmp_path / "plain"
+    plain.touch()
+    write_text(tmp_path / "ours", "text")
+    assert (tmp_path / "ours").stat().st_mode == plain.stat().st_mode
+
+
+def test_a_link_stays_a_link(tmp_path):
+    target, link = tmp_path / "target", tmp_path / "link"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_text(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ("folder", "is a folder"),
+        ("missing/plan.json", "not a folder that exists"),
+        ("file/plan.json", "not a folder that exists"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_beforehand(tmp_path, place, told):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match=told) as caught:
+        require_writable(tmp_path / place, option="--out")
+    assert str(caught.value).startswith("--out: ")
+    assert place in str(caught.value)
+
+
+def test_a_device_is_never_replaced():
+    with pytest.raises(InputError, match="is not a file"):
+        require_writable(Path(os.devnull), option="--out")
+
+
+def test_a_good_place_passes_and_stays_untouched(tmp_path):
+    require_writable(tmp_path / "new.json", option="--out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_is_made_with_those_above_it(tmp_path):
+    make_folder(tmp_path / "a" / "b", option="--out")
+    assert (tmp_path / "a" / "b").is_dir()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="--out: cannot make the folder"):
+        make_folder(tmp_path / "file" / "b", option="--out")

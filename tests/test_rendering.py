@@ -1,0 +1,202 @@
+"""Cameras and glass walls by hand-worked cases, films and strips where a GL library is."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from app.cutaway import Boxes, eye_position, hides, points_to_see
+from app.rendering import NO_GL, NoGlError, Recording, View, camera_path, prepare_gl
+from app.strip import tile
+
+
+def recording_of(xy_yaw: np.ndarray) -> Recording:
+    """A free joint alone, at 40 Hz."""
+    count = len(xy_yaw)
+    qpos = np.zeros((count, 7))
+    qpos[:, :2] = xy_yaw[:, :2]
+    qpos[:, 3], qpos[:, 6] = np.cos(xy_yaw[:, 2] / 2), np.sin(xy_yaw[:, 2] / 2)
+    return Recording(qpos=qpos, time_s=np.arange(count) / 40)
+
+
+def test_the_nearest_moment():
+    recording = Recording(qpos=np.zeros((3, 7)), time_s=np.array([0.0, 1.0, 3.0]))
+    times_s = np.array([-1.0, 0.4, 0.6, 1.9, 2.1, 9.0])
+    assert recording.nearest(times_s).tolist() == [0, 0, 1, 1, 2, 2]
+
+
+def test_a_recording_of_one_moment():
+    recording = Recording(qpos=np.zeros((1, 7)), time_s=np.array([0.0]))
+    assert recording.nearest(np.array([0.0, 5.0])).tolist() == [0, 0]
+    assert camera_path(recording, View()).lookat_m.shape == (1, 3)
+
+
+def test_a_recording_refuses_what_does_not_fit():
+    with pytest.raises(ValueError, match=r"\(2, 7\) must be"):
+        Recording(qpos=np.zeros((2, 7)), time_s=np.zeros(3))
+    with pytest.raises(ValueError, match="at least one moment"):
+        Recording(qpos=np.zeros((0, 7)), time_s=np.zeros(0))
+
+
+def test_the_camera_stands_still_when_the_robot_does():
+    path = camera_path(recording_of(np.tile([2.0, 1.0, 0.5], (200, 1))), View(azimuth_deg=30))
+    np.testing.assert_allclose(path.lookat_m, np.tile([2.0, 1.0, 0.75], (200, 1)))
+    np.testing.assert_allclose(path.azimuth_deg, np.degrees(0.5) + 30)
+
+
+def test_the_camera_does_not_sway_with_the_gait():
+    time_s = np.arange(800) / 40
+    sway_m = 0.05 * np.sin(2 * np.pi * time_s / 2.2)
+    path = camera_path(
+        recording_of(np.column_stack([0.2 * time_s, sway_m, 0 * time_s])), View(smooth_s=3)
+    )
+    middle = slice(200, 600)
+    assert np.abs(path.lookat_m[middle, 1]).max() < 0.01
+    np.testing.assert_allclose(path.lookat_m[middle, 0], 0.2 * time_s[middle], atol=1e-6)
+
+
+def test_the_camera_turns_on_where_the_heading_passes_half_a_turn():
+    yaw_rad = np.linspace(3.0, 3.4, 400)
+    path = camera_path(recording_of(np.column_stack([0 * yaw_rad, 0 * yaw_rad, yaw_rad])), View())
+    assert np.all(np.diff(path.azimuth_deg) >= 0)
+    assert np.ptp(path.azimuth_deg) < np.degrees(0.41)
+
+
+def test_the_eye_lies_against_the_direction_of_view():
+    # Looking along +x and level from 3 m; then straight down.
+    np.testing.assert_allclose(eye_position(np.array([1, 2, 0.5]), 3, 0, 0), [-2, 2, 0.5])
+    np.testing.assert_allclose(
+        eye_position(np.array([1, 2, 0.5]), 3, 0, -90), [1, 2, 3.5], atol=1e-12
+    )
+
+
+def box(centre_m: tuple[float, float, float], yaw_rad: float = 0.0) -> Boxes:
+    """One box of 0.2 x 2 x 1 m."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return Boxes(
+        geom=np.array([0]),
+        centre_m=np.array([centre_m], dtype=float),
+        T_world_box=np.array([[[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]]),
+        half_m=np.array([[0.1, 1.0, 0.5]]),
+    )
+
+
+EYE_M, ROBOT_M = np.array([-3.0, 0.0, 0.5]), np.array([[0.0, 0.0, 0.5]])
+
+
+@pytest.mark.parametrize(
+    ("boxes", "hidden"),
+    [
+        (box((-1, 0, 0.5)), True),
+        (box((-1, 0.9, 0.5)), True),
+        (box((-1, 1.1, 0.5)), False),  # beside the line
+        (box((1, 0, 0.5)), False),  # behind the robot
+        (box((-4, 0, 0.5)), False),  # behind the camera
+        (box((-1, 0, 1.2)), False),  # above the line
+        (box((-1, 0.9, 0.5), yaw_rad=np.pi / 2), False),  # turned along the line, beside it
+        (box((-1, 0.05, 0.5), yaw_rad=np.pi / 2), True),
+    ],
+)
+def test_only_what_stands_between_is_made_glass(boxes, hidden):
+    assert hides(boxes, EYE_M, ROBOT_M).tolist() == [hidden]
+
+
+def test_what_is_to_be_seen_spreads_across_the_view():
+    points_m = points_to_see(np.array([1.0, 0.0]), np.array([-3.0, 0.0, 2.0]))
+    np.testing.assert_allclose(points_m[:, 0], 1.0)
+    assert set(points_m[:, 1]) == {-0.25, 0.0, 0.25}
+
+
+def test_tiles_fill_rows_and_leave_the_rest_white():
+    pictures = [np.full((2, 3, 3), number, np.uint8) for number in range(3)]
+    tiled = tile(pictures, 2)
+    assert tiled.shape == (4, 6, 3)
+    assert tiled[::2, ::3, 0].tolist() == [[0, 1], [2, 255]]
+
+
+def test_without_a_gl_library_one_line_names_the_packages(monkeypatch):
+    def broken(*_args, **_kwargs):
+        return subprocess.CompletedProcess(args=(), returncode=1)
+
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(subprocess, "run", broken)
+    with pytest.raises(NoGlError) as caught:
+        prepare_gl()
+    assert "\n" not in str(caught.value)
+    for package in ("libegl1", "libgl1-mesa-dri", "libosmesa6"):
+        assert package in str(caught.value)
+
+
+DRAW = """
+import sys
+from pathlib import Path
+from app.rendering import NoGlError, Recording, prepare_gl
+try:
+    prepare_gl()
+except NoGlError as error:
+    sys.exit(str(error))
+import mujoco, numpy as np
+from app.strip import write_strip
+from app.video import write_film
+model = mujoco.MjModel.from_xml_string('''
+<mujoco>
+  <worldbody>
+    <light pos="0 0 5" dir="0 0 -1"/>
+    <geom type="plane" size="0 0 1" rgba="0 1 0 1"/>
+    <geom type="box" pos="1 -1.5 0.5" size="0.5 0.05 0.5" rgba="0 0 0 1"/>
+    <body pos="0 0 0.75"><freejoint/><geom type="sphere" size="0.3" rgba="1 0 0 1"/></body>
+  </worldbody>
+</mujoco>''')
+qpos = np.zeros((81, 7))
+qpos[:, 0] = np.linspace(0, 2, 81)
+qpos[:, 2], qpos[:, 3] = 0.75, 1
+recording = Recording(qpos=qpos, time_s=np.arange(81) / 40)
+folder = Path(sys.argv[1])
+write_strip(folder / "strip.png", model, recording, frames=4, width=100, height=80)
+print(write_film(folder / "film.mp4", model, recording, width=160, height=120))
+"""
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Folder with a strip and a film; drawn apart, as MuJoCo reads MUJOCO_GL only once."""
+    folder = tmp_path_factory.mktemp("drawn")
+    drawing = subprocess.run(
+        [sys.executable, "-c", DRAW, str(folder)], capture_output=True, text=True, check=False
+    )
+    if drawing.returncode == 1 and drawing.stderr.strip() == NO_GL:
+        pytest.skip(NO_GL)
+    assert drawing.returncode == 0, drawing.stderr
+    assert drawing.stdout.split() == ["41"]
+    return folder
+
+
+def is_red(picture: np.ndarray) -> np.ndarray:
+    blue, green, red = np.moveaxis(picture.astype(int), -1, 0)
+    return (red > 60) & (red > 2 * green) & (red > 2 * blue)
+
+
+def test_a_strip_shows_the_robot_in_every_tile_and_through_walls(drawn):
+    strip = cv2.imread(str(drawn / "strip.png"))
+    assert strip is not None
+    assert strip.shape == (80, 400, 3)
+    for tile_at in range(0, 400, 100):
+        # The camera follows: the robot is in the middle of each tile, also behind the wall.
+        assert is_red(strip[30:50, tile_at + 40 : tile_at + 60]).mean() > 0.5
+
+
+def test_a_film_has_the_frames_of_the_walk(drawn):
+    import av
+
+    with av.open(str(drawn / "film.mp4")) as film:
+        stream = film.streams.video[0]
+        assert stream.codec_context.name == "h264"
+        assert stream.average_rate == 20
+        frames = [frame.to_ndarray(format="bgr24") for frame in film.decode(stream)]
+    assert len(frames) == 41
+    assert is_red(frames[0]).any()
+    assert is_red(frames[-1]).any()
