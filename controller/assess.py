@@ -54,9 +54,7 @@ def assess_mode(
 
     The seed is of this run alone: nothing is shared with training.
     """
-    task = WalkTask(
-        robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config
-    )
+    task = WalkTask(robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config)
     alive = np.ones(episodes, dtype=bool)
     fell = np.zeros(episodes, dtype=bool)
     errors: list[np.ndarray] = []

@@ -29,9 +29,7 @@ class Track:
     pose_world: np.ndarray
 
     @classmethod
-    def of(
-        cls, start_feet_world: np.ndarray, side: np.ndarray, pose_world: np.ndarray
-    ) -> Track:
+    def of(cls, start_feet_world: np.ndarray, side: np.ndarray, pose_world: np.ndarray) -> Track:
         """A track from both feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
 
         Raises:

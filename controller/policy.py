@@ -49,7 +49,9 @@ class Policy:
         return np.asarray(values @ weight.T + bias, dtype=np.float64)
 
 
-def fitting(robot: Robot, layers: tuple[tuple[np.ndarray, np.ndarray], ...], **about: Any) -> Policy:
+def fitting(
+    robot: Robot, layers: tuple[tuple[np.ndarray, np.ndarray], ...], **about: Any
+) -> Policy:
     """A policy for the robot as it is now defined."""
     fields = policy_fields(robot)
     offset, scale = normaliser(fields)
@@ -103,7 +105,9 @@ def load_policy(robot: Robot, path: Path | None = None) -> Policy:
         offset = np.array(about["normaliser"]["offset"], dtype=float)
         scale = np.array(about["normaliser"]["scale"], dtype=float)
         depth = len(tensors) // 2
-        layers = tuple((tensors[f"layer{k}.weight"], tensors[f"layer{k}.bias"]) for k in range(depth))
+        layers = tuple(
+            (tensors[f"layer{k}.weight"], tensors[f"layer{k}.bias"]) for k in range(depth)
+        )
     except (SafetensorError, json.JSONDecodeError, KeyError, TypeError, OSError) as error:
         raise PolicyError(f"policy {path} cannot be read ({error}): it is damaged") from error
     _check(robot, path, about, layers, hashlib.sha256(content).hexdigest())

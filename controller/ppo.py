@@ -40,7 +40,7 @@ class PpoConfig:
         return self.robots * self.ticks_per_update
 
 
-class RslWalkEnv(VecEnv):
+class RslWalkEnv(VecEnv):  # type: ignore[misc]
     """The walking task as rsl-rl sees it; observations are scaled and in float32."""
 
     def __init__(self, task: WalkTask):

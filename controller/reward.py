@@ -27,7 +27,6 @@ class WalkState:
     target_distance_m: np.ndarray  # (B,) of the present step from the nearer foot
     root_distance_m: np.ndarray  # (B,) of the pelvis from midway between the two next steps
     swing_share: np.ndarray  # (B, 2) how the foot errors are weighed, sums to 1
-    heading_error_rad: np.ndarray  # (B,) of the pelvis from the mean of the feet's targets
     tilt_cos: np.ndarray  # (B,) <q, q*> of the pelvis with the upright one of that heading
     height_error_m: np.ndarray  # (B,) pelvis above the lower sole, from its standing height
     head_offset_m: np.ndarray  # (B,) horizontal, of the head from the pelvis

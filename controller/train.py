@@ -116,9 +116,7 @@ class Tally:
 class Trainer:
     """One training run in one folder: checkpoint, log, and the best policy so far."""
 
-    def __init__(
-        self, robot: Robot, config: TrainConfig, out: Path, *, threads: int, command: str
-    ):
+    def __init__(self, robot: Robot, config: TrainConfig, out: Path, *, threads: int, command: str):
         self.robot, self.config, self.out = robot, config, out
         self.threads, self.command = threads, command
         torch.set_num_threads(config.ppo.learner_threads)
@@ -200,9 +198,9 @@ class Trainer:
         assessed = result.summary
         for name, value in {**summary, **{f"loss/{k}": v for k, v in losses.items()}}.items():
             writer.add_scalar(f"train/{name}", value, samples)
-        for name, value in assessed.items():
-            if not isinstance(value, str):
-                writer.add_scalar(f"assess/{name}", value, samples)
+        for name, number in assessed.items():
+            if not isinstance(number, str):
+                writer.add_scalar(f"assess/{name}", number, samples)
         writer.flush()
         score = _score(result)
         best = score > self.best_score
@@ -281,9 +279,8 @@ class Trainer:
 
 def _score(result: ModeResult) -> float:
     """Falls first, then the foot error: a policy that falls less is better."""
-    summary = result.summary
-    error = float(summary["error_m_p95"])
-    return -100.0 * result.falls / result.episodes - (error if np.isfinite(error) else 1.0)
+    error_m = float(result.summary["error_m_p95"])
+    return -100.0 * result.falls / result.episodes - (error_m if np.isfinite(error_m) else 1.0)
 
 
 def git_revision() -> str:

@@ -21,9 +21,7 @@ class Walker:
     def __init__(self, scene: Scene, *, count: int = 1, threads: int = 1, capacity: int = 16):
         self.scene = scene
         self.robot = scene.robot
-        self.sim = SimBatch(
-            scene, count=count, control_period_s=CONTROL_PERIOD_S, threads=threads
-        )
+        self.sim = SimBatch(scene, count=count, control_period_s=CONTROL_PERIOD_S, threads=threads)
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
 

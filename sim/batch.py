@@ -8,6 +8,16 @@ from mujoco.batch import Batch, SimulationError
 
 from sim.scene import Scene
 
+_BAD_STATE = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_BADCTRL,
+    )
+]
+
 
 class SimBatch:
     """B simulations of a scene under joint position targets.
@@ -61,5 +71,5 @@ class SimBatch:
             )
         except SimulationError as error:
             self.failed[error.ids] = True
-        self.failed |= ~np.isfinite(self.qpos).all(axis=1)
-        self.failed |= ~np.isfinite(self.qvel).all(axis=1)
+        # MuJoCo resets a state that is not finite by itself; only the warning tells of it.
+        self.failed |= self._batch.warning[:, _BAD_STATE, 1].any(axis=1)

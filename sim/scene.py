@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from sim.robot import PHYSICS_GROUP, SURROUNDINGS_BITS, VISUAL_GROUP, Robot
+from sim.robot import SURROUNDINGS_BITS, Robot
 from sim.sensors import SIDES, Sensors, add_sensors
 
 WALL_HEIGHT_M = 1.0
@@ -43,6 +43,18 @@ class Scene:
     joint_qvel: np.ndarray
     standing_qpos: np.ndarray
 
+    def qpos_at(self, pose: np.ndarray) -> np.ndarray:
+        """Half-sitting qpos (nq,) whose soles' midpoint is at the pose x_m, y_m, yaw_rad."""
+        qpos = self.standing_qpos.copy()
+        x, y, yaw = pose
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        offset_x, offset_y = self.standing_qpos[:2]
+        qpos[0] = x + cos * offset_x - sin * offset_y
+        qpos[1] = y + sin * offset_x + cos * offset_y
+        turn = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+        mujoco.mju_mulQuat(qpos[3:7], turn, self.standing_qpos[3:7])
+        return qpos
+
     def soles_at(self, qpos: np.ndarray) -> np.ndarray:
         """Pose x, y, z, yaw of each sole (2, 4) in the world, left then right, at qpos (nq,)."""
         data = mujoco.MjData(self.model)
@@ -69,7 +81,7 @@ def build_scene(
     _add_walls(spec, walls or Walls())
     add_sensors(spec, robot)
     if visuals:
-        _add_looks(spec, robot)
+        _add_looks(spec)
     model = spec.compile()
     joints = [model.joint(joint.name) for joint in robot.joints]
     joint_qpos = np.array([joint.qposadr[0] for joint in joints])
@@ -81,22 +93,6 @@ def build_scene(
         joint_qvel=np.array([joint.dofadr[0] for joint in joints]),
         standing_qpos=_standing_qpos(robot, model, joint_qpos),
     )
-
-
-def qpos_at(scene: Scene, pose: np.ndarray, ground_z_m: float = 0.0) -> np.ndarray:
-    """Half-sitting qpos (nq,) whose soles' midpoint is at the pose x_m, y_m, yaw_rad."""
-    qpos = scene.standing_qpos.copy()
-    x, y, yaw = pose
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    offset_x, offset_y = qpos[0], qpos[1]
-    qpos[0] = x + cos * offset_x - sin * offset_y
-    qpos[1] = y + sin * offset_x + cos * offset_y
-    qpos[2] += ground_z_m
-    turn = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
-    turned = np.empty(4)
-    mujoco.mju_mulQuat(turned, turn, qpos[3:7])
-    qpos[3:7] = turned
-    return qpos
 
 
 def _standing_qpos(robot: Robot, model: mujoco.MjModel, joint_qpos: np.ndarray) -> np.ndarray:
@@ -161,7 +157,7 @@ def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
         )
 
 
-def _add_looks(spec: mujoco.MjSpec, robot: Robot) -> None:
+def _add_looks(spec: mujoco.MjSpec) -> None:
     """Sky, light and floor pattern; collision shapes are shown only where there are no meshes."""
     spec.add_texture(
         name="sky",

@@ -55,6 +55,15 @@ _LEG = (
     ("ANKLE_P", 80, 8, 250, 14.18435, 0.1337, -24, 1),
 )
 
+# Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
+STEPS = (
+    *((x, 0.20, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.30)),
+    *((x, 0.30, 0.0) for x in (-0.10, 0.0, 0.15)),
+    *((x, 0.22, 0.3) for x in (-0.05, 0.0, 0.10, 0.20)),
+    *((x, 0.22, 0.15) for x in (0.0, 0.10, 0.25)),
+    *((x, 0.20, -0.15) for x in (0.0, 0.10, 0.20)),
+)
+
 
 def _joints() -> tuple[LegJoint, ...]:
     return tuple(
@@ -185,8 +194,15 @@ ROBOT = Robot(
         foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
         body=BodyShape(length_m=0.40, width_m=0.62),
         limits=StepLimits(x_m=(-0.20, 0.35), y_m=(0.16, 0.36), yaw_rad=(-0.2, 0.4)),
-        steps=((0,.2,0),),
-        stance_width_m=0.2,
+        steps=STEPS,
+        stance_width_m=0.20,
+        turn_cost_m=0.05,
+        side_cost_m=0.2,
+        back_cost_m=0.2,
+        clearance_m=0.30,
+        clearance_cost_m=0.10,
+        foot_margin_m=0.03,
+        body_margin_m=0.06,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
     joints=_joints(),

@@ -1,0 +1,162 @@
+"""Gait clock, tracks and the step cursor: hand-worked numbers and laws."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from controller.cursor import STANCE, StepCursor, Track
+from controller.gait import GaitTicks, clock, support_indicator
+from planner.model import Side
+from sim.robots import get_robot, robot_names
+
+TICKS = GaitTicks(swing=30, double_support=14)
+FEET = np.array([[0.0, 0.1, 0.0, 0.0], [0.0, -0.1, 0.0, 0.0]])
+
+
+def one(value, kind=int):
+    return np.array([value], dtype=kind)
+
+
+def track(sides: list[Side]) -> Track:
+    """Steps that each go 0.2 m on; the x of a step is 0.2 times its number, from 1."""
+    poses = np.array([[0.2 * (k + 1), 0.1 * s.outward, 0, 0] for k, s in enumerate(sides)])
+    return Track.of(FEET, np.array(sides, dtype=int), poses.reshape(-1, 4))
+
+
+def test_durations_of_every_robot_are_whole_ticks():
+    for name in robot_names():
+        gait = get_robot(name).gait
+        ticks = GaitTicks.of(gait)
+        assert ticks.step * 0.025 == pytest.approx(gait.step_s)
+        assert ticks.swing * 0.025 == pytest.approx(gait.single_support_s)
+
+
+@pytest.mark.parametrize(
+    ("side", "tick", "expected"),
+    [
+        (Side.RIGHT, 0, (0, 1)),
+        (Side.RIGHT, 22, (1, 0)),
+        (Side.LEFT, 0, (0, -1)),
+        (Side.LEFT, 22, (-1, 0)),
+        (Side.RIGHT, 11, (np.sqrt(0.5), np.sqrt(0.5))),
+    ],
+)
+def test_clock_at_known_phases(side, tick, expected):
+    assert clock(TICKS, one(side), one(tick), one(False, bool))[0] == pytest.approx(expected)
+
+
+def test_clock_is_continuous_over_the_change_of_feet_and_dark_while_standing():
+    last = clock(TICKS, one(Side.RIGHT), one(44), one(False, bool))
+    first = clock(TICKS, one(Side.LEFT), one(0), one(False, bool))
+    assert last == pytest.approx(first)
+    assert clock(TICKS, one(Side.LEFT), one(7), one(True, bool)).tolist() == [[0, 0]]
+
+
+def test_indicator_over_a_step_of_the_right_foot():
+    def at(tick):
+        return support_indicator(TICKS, one(Side.RIGHT), one(tick), one(False, bool))[0].tolist()
+
+    # (left, right): ramps of two ticks about lift-off (0), touch-down (30) and the left's lift-off.
+    assert at(0) == [1, 0]
+    assert at(1) == [1, -0.5]
+    assert at(15) == [1, -1]
+    assert at(29) == [1, -0.5]
+    assert at(30) == [1, 0]
+    assert at(37) == [1, 1]
+    assert at(43) == [0.5, 1]
+    standing = support_indicator(TICKS, one(Side.RIGHT), one(15), one(True, bool))
+    assert standing.tolist() == [[1, 1]]
+
+
+def test_track_puts_the_stance_in_front_in_the_order_of_the_steps():
+    path = track([Side.RIGHT, Side.LEFT])
+    assert path.side.tolist() == [Side.RIGHT, Side.LEFT, Side.RIGHT, Side.LEFT]
+    assert path.pose_world[0].tolist() == FEET[1].tolist()
+    assert path.pose_world[1].tolist() == FEET[0].tolist()
+
+
+def test_track_refuses_steps_that_do_not_alternate():
+    with pytest.raises(ValueError, match="alternate"):
+        Track.of(FEET, np.array([0, 0]), np.zeros((2, 4)))
+
+
+def walk_through(cursor: StepCursor, ticks: int):
+    """What the cursor shows at every tick before the robot is done."""
+    rows = []
+    for _ in range(ticks):
+        rows.append(
+            (
+                int(cursor.entry[0]),
+                int(cursor.tick[0]),
+                bool(cursor.standing[0]),
+                cursor.window[0, :, 0].tolist(),
+                cursor.foot_targets[0, :, 0].tolist(),
+            )
+        )
+        cursor.advance()
+    return rows
+
+
+def test_cursor_waits_shifts_weight_walks_and_stands():
+    cursor = StepCursor(TICKS, 1, 4)
+    cursor.follow(0, track([Side.RIGHT, Side.LEFT, Side.RIGHT]), wait_ticks=5)
+    rows = walk_through(cursor, 6 + 14 + 3 * 44 + 10)
+    # Five ticks of waiting and the one in which the wait runs out.
+    assert [row[2] for row in rows[:6]] == [True] * 6
+    assert rows[6][:2] == (STANCE - 1, 30)
+    assert all(not row[2] for row in rows[6 : 20 + 132])
+    assert rows[20][:2] == (STANCE, 0)
+    assert rows[20][3] == pytest.approx([0.2, 0.4])
+    assert rows[20][4] == pytest.approx([0.0, 0.2])  # left stays, right goes to step 1
+    assert rows[64][3] == pytest.approx([0.4, 0.6])
+    assert rows[64][4] == pytest.approx([0.4, 0.2])
+    assert rows[108][3] == pytest.approx([0.6, 0.4])  # after the last step: where the left stands
+    assert rows[152][2]
+    assert rows[152][4] == pytest.approx([0.4, 0.6])
+    assert bool(cursor.arrived[0])
+    assert cursor.advance().tolist() == [False]
+
+
+def test_cursor_says_when_a_step_ends_once_per_step():
+    cursor = StepCursor(TICKS, 1, 4)
+    cursor.follow(0, track([Side.LEFT, Side.RIGHT]), walking=True)
+    ended = [bool(cursor.advance()[0]) for _ in range(100)]
+    assert np.flatnonzero(ended).tolist() == [43, 87]
+    assert bool(cursor.arrived[0])
+
+
+def test_side_of_the_step_and_phase_of_the_gait_agree_all_along():
+    cursor = StepCursor(TICKS, 2, 4)
+    cursor.follow(0, track([Side.RIGHT, Side.LEFT, Side.RIGHT]))
+    cursor.follow(1, track([Side.LEFT, Side.RIGHT]), walking=True)
+    looked_at = 0
+    for _ in range(200):
+        swinging = cursor.swinging
+        for row in np.flatnonzero(swinging):
+            swing_side = int(cursor.side[row])
+            assert cursor.support_indicator[row, 1 - swing_side] == 1
+            assert (cursor.clock[row, 0] >= -1e-12) == (swing_side == Side.RIGHT) or (
+                cursor.tick[row] == 0
+            )
+            looked_at += 1
+        cursor.advance()
+    assert looked_at == 5 * 30
+
+
+def test_robot_without_steps_stands_where_it_is():
+    cursor = StepCursor(TICKS, 1, 4)
+    cursor.follow(0, track([]))
+    for _ in range(100):
+        assert not cursor.advance()[0]
+    assert bool(cursor.arrived[0])
+    assert cursor.foot_targets[0] == pytest.approx(FEET)
+
+
+def test_track_longer_than_the_first_capacity_is_taken_whole():
+    sides = [Side(k % 2) for k in range(40)]
+    cursor = StepCursor(TICKS, 1, 4)
+    cursor.follow(0, track(sides), walking=True)
+    for _ in range(39 * 44):
+        cursor.advance()
+    assert cursor.window[0, :, 0] == pytest.approx([8.0, 7.8])

@@ -1,0 +1,76 @@
+"""Reward terms: hand-worked cases of each, and the paper's weights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller import reward as r
+
+PERFECT = r.WalkState(
+    support_indicator=np.array([[1.0, -1.0]]),
+    ground_force_weights=np.array([[1.0, 0.0]]),
+    sole_speed_m_s=np.array([[0.0, 2.0]]),
+    foot_error_m=np.zeros((1, 2)),
+    foot_heading_error_rad=np.zeros((1, 2)),
+    target_distance_m=np.zeros(1),
+    root_distance_m=np.zeros(1),
+    swing_share=np.array([[0.3, 0.7]]),
+    tilt_cos=np.ones(1),
+    height_error_m=np.zeros(1),
+    head_offset_m=np.zeros(1),
+    action_change_rad=np.zeros(1),
+    torque_change_nm=np.zeros(1),
+)
+
+
+@pytest.mark.parametrize("term", r.TERMS)
+def test_every_term_is_1_at_its_best(term):
+    assert r.TERMS[term](PERFECT) == pytest.approx([1.0])
+
+
+@pytest.mark.parametrize("preset", r.PRESETS)
+def test_weights_sum_to_1(preset):
+    assert sum(r.PRESETS[preset].values()) == pytest.approx(1.0)
+    total, terms = r.reward(PERFECT, r.PRESETS[preset])
+    assert total == pytest.approx([1.0])
+    assert set(terms) == set(r.PRESETS[preset])
+
+
+@pytest.mark.parametrize(
+    ("term", "change", "expected"),
+    [
+        # a foot that swings under half the weight and more: -1 for it, 1 for the other
+        ("ground_force", {"ground_force_weights": np.array([[0.5, 0.6]])}, 0.0),
+        ("ground_force", {"ground_force_weights": np.array([[0.25, 0.0]])}, 0.5),
+        ("ground_force", {"support_indicator": np.zeros((1, 2))}, 0.0),
+        ("foot_speed", {"sole_speed_m_s": np.array([[0.4, 0.4]])}, 0.0),
+        ("foot_speed", {"sole_speed_m_s": np.array([[0.0, 0.2]])}, 0.5),
+        ("any_foot_step", {"target_distance_m": np.array([0.1])}, 0.8 * np.exp(-0.4) + 0.2),
+        ("any_foot_step", {"target_distance_m": np.array([0.21])}, 0.2),
+        ("any_foot_step", {"root_distance_m": np.array([2.0])}, 0.8 + 0.2 / np.e),
+        ("named_foot_step", {"foot_error_m": np.array([[9.0, 0.0]])}, 0.7),
+        ("named_foot_heading", {"foot_heading_error_rad": np.array([[0.0, 9.0]])}, 0.3),
+        ("orientation", {"tilt_cos": np.array([np.cos(0.1)])}, np.exp(-10 * np.sin(0.1) ** 2)),
+        ("height", {"height_error_m": np.array([-0.1])}, np.exp(-0.4)),
+        ("upper_body", {"head_offset_m": np.array([0.2])}, np.exp(-0.4)),
+        ("action_smoothness", {"action_change_rad": np.array([0.2])}, np.exp(-1)),
+        ("torque_smoothness", {"torque_change_nm": np.array([4.0])}, np.exp(-1)),
+    ],
+)
+def test_hand_worked_values(term, change, expected):
+    assert r.TERMS[term](replace(PERFECT, **change)) == pytest.approx([expected])
+
+
+def test_the_papers_weights():
+    weights = dict(r.PAPER)
+    assert (weights.pop("ground_force"), weights.pop("foot_speed")) == (0.15, 0.15)
+    assert weights.pop("any_foot_step") == 0.45
+    assert set(weights.values()) == {0.05}
+
+
+def test_unknown_term_is_an_error():
+    with pytest.raises(KeyError, match="lift"):
+        r.reward(PERFECT, {"lift": 1.0})

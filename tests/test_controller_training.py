@@ -1,0 +1,220 @@
+"""The task, the sequences it draws, the policy's files, and training that resumes exactly."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.assess import assess_mode
+from controller.env import TaskConfig, WalkTask
+from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
+from controller.ppo import PpoConfig
+from controller.sequences import MAX_STEPS, MODES, draw_track
+from controller.train import TrainConfig, Trainer, TrainingError
+from planner.model import Side
+from planner.plan import relative_step
+from sim.robots import get_robot, robot_names
+
+TINY = TrainConfig(
+    samples=2 * 2 * 64,
+    updates_per_segment=2,
+    assess_episodes=2,
+    task=TaskConfig(episode_ticks=8),
+    ppo=PpoConfig(robots=4, ticks_per_update=16, hidden=(8,), minibatches=2, epochs=2),
+)
+
+
+def small_policy(robot, seed=0) -> Policy:
+    rng = np.random.default_rng(seed)
+    inputs, outputs = 15 + 2 * len(robot.joints), len(robot.joints)
+    layers = (
+        (rng.normal(size=(8, inputs)).astype(np.float32), np.zeros(8, np.float32)),
+        (0.01 * rng.normal(size=(outputs, 8)).astype(np.float32), np.zeros(outputs, np.float32)),
+    )
+    return fitting(robot, layers, note="a test's")
+
+
+@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize("mode", [*MODES, None])
+def test_drawn_steps_alternate_and_keep_the_limits(name, mode):
+    robot = get_robot(name)
+    model, rng = robot.step_model, np.random.default_rng(4)
+    feet = np.array([[0.3, 0.1, 0, 0.5], [0.4, -0.1, 0, 0.5]])
+    steps = 0
+    for _ in range(40):
+        track = draw_track(rng, model, feet, mode=mode, steps=MAX_STEPS)
+        for k in range(2, len(track.side)):
+            support, swing = track.pose_world[k - 1], track.pose_world[k]
+            assert track.side[k] != track.side[k - 1]
+            relative = relative_step(support, swing, Side(int(track.side[k])))
+            assert model.limits.contain(relative, tolerance=1e-6), relative
+            steps += 1
+    assert steps > 100
+
+
+def test_standing_mode_has_no_steps():
+    robot = get_robot("jvrc1")
+    feet = np.array([[0.0, 0.1, 0, 0], [0.0, -0.1, 0, 0]])
+    track = draw_track(np.random.default_rng(0), robot.step_model, feet, mode="standing")
+    assert len(track.side) == 2
+
+
+def test_same_seed_same_episodes_whatever_the_threads():
+    robot = get_robot("jvrc1")
+    rng = np.random.default_rng(0)
+    actions = 0.2 * rng.normal(size=(60, 6, 12))
+    runs = []
+    for threads in (1, 2):
+        task = WalkTask(robot, count=6, seed=11, threads=threads)
+        runs.append([task.step(action) for action in actions])
+    for first, second in zip(*runs, strict=True):
+        assert np.array_equal(first.observation, second.observation)
+        assert np.array_equal(first.reward, second.reward)
+        assert np.array_equal(first.terminated, second.terminated)
+
+
+def test_a_fall_terminates_and_does_not_truncate():
+    """Legs let go: the targets fold the knees, and the pelvis sinks below its limit."""
+    robot = get_robot("jvrc1")
+    task = WalkTask(robot, count=3, seed=0, mode="standing")
+    fold = np.array([-1.0, 0, 0, 2.0, 0, -1.0] * 2)
+    for _ in range(200):
+        step = task.step(np.tile(fold, (3, 1)))
+        if step.terminated.any():
+            break
+    assert step.terminated.any()
+    assert not step.truncated[step.terminated].any()
+    assert (task.ticks[step.terminated] == 0).all()
+
+
+def test_a_full_episode_truncates_and_does_not_terminate():
+    robot = get_robot("jvrc1")
+    task = WalkTask(robot, count=2, seed=0, mode="standing", config=TaskConfig(episode_ticks=5))
+    ends = [task.step(np.zeros((2, 12))) for _ in range(5)]
+    assert not any(step.truncated.any() or step.terminated.any() for step in ends[:4])
+    assert ends[4].truncated.all()
+    assert not ends[4].terminated.any()
+
+
+def test_simulation_that_leaves_the_finite_numbers_ends_its_episode_only():
+    robot = get_robot("jvrc1")
+    task = WalkTask(robot, count=3, seed=0, mode="standing")
+    task.walker.sim.qvel[1] = np.nan
+    step = task.step(np.zeros((3, 12)))
+    assert step.failed.tolist() == [False, True, False]
+    assert step.terminated.tolist() == [False, True, False]
+    assert step.reward[1] == 0
+    assert np.isfinite(step.observation).all()
+    assert np.isfinite(step.critic_observation).all()
+
+
+def test_held_out_assessment_repeats(tmp_path):
+    robot = get_robot("jvrc1")
+    config = TaskConfig(episode_ticks=60)
+    results = [
+        assess_mode(robot, small_policy(robot), "forward", episodes=4, seed=s, config=config)
+        for s in (1, 1, 2)
+    ]
+    assert results[0].summary == results[1].summary
+    assert results[0].episodes == 4
+
+
+def test_policy_acts_as_its_layers_worked_by_hand():
+    robot = get_robot("jvrc1")
+    policy = small_policy(robot)
+    observation = np.random.default_rng(3).normal(size=(2, 39))
+    (w1, b1), (w2, b2) = policy.layers
+    scaled = (observation - policy.offset) / policy.scale
+    expected = np.array([w2 @ np.maximum(w1 @ row + b1, 0) + b2 for row in scaled])
+    assert policy.act(observation) == pytest.approx(expected, abs=1e-5)
+
+
+def test_policy_comes_back_from_its_files(tmp_path):
+    robot = get_robot("jvrc1")
+    policy = small_policy(robot)
+    save_policy(policy, tmp_path / "p.safetensors")
+    again = load_policy(robot, tmp_path / "p.safetensors")
+    observation = np.random.default_rng(0).normal(size=(3, 39))
+    assert np.array_equal(again.act(observation), policy.act(observation))
+    assert again.about["note"] == "a test's"
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_policy_that_does_not_fit_is_refused_saying_why(tmp_path):
+    robot = get_robot("jvrc1")
+    path = tmp_path / "p.safetensors"
+    with pytest.raises(PolicyError, match="no policy file .*p.safetensors"):
+        load_policy(robot, path)
+    save_policy(small_policy(robot), path)
+    other = replace(robot, name="someone_else")
+    with pytest.raises(PolicyError, match="its robot is jvrc1, someone_else needs"):
+        load_policy(other, path)
+    about = json.loads(path.with_suffix(".json").read_text())
+    about["observation"][0][1] = 3
+    path.with_suffix(".json").write_text(json.dumps(about))
+    with pytest.raises(PolicyError, match="its observation is"):
+        load_policy(robot, path)
+    save_policy(small_policy(robot), path)
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(PolicyError, match="damaged"):
+        load_policy(robot, path)
+    save_policy(small_policy(robot), path)
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(bytes(content))
+    with pytest.raises(PolicyError, match="sha256"):
+        load_policy(robot, path)
+
+
+def train(tmp_path, name, config, *, resume=False, threads=1) -> Trainer:
+    trainer = Trainer(get_robot("jvrc1"), config, tmp_path / name, threads=threads, command="test")
+    if resume:
+        trainer.resume()
+    trainer.run(lambda report: None)
+    return trainer
+
+
+def test_run_cut_off_and_resumed_gives_the_policy_of_the_whole_run(tmp_path):
+    whole = train(tmp_path, "whole", TINY, threads=2)
+    # A killed run has the whole run's schedule: give its checkpoint that configuration.
+    cut = Trainer(get_robot("jvrc1"), TINY, tmp_path / "cut2", threads=1, command="test")
+    (tmp_path / "cut2").mkdir()
+    reports = []
+
+    def stop_after_one(report):
+        reports.append(report)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cut.run(stop_after_one)
+    resumed = train(tmp_path, "cut2", TINY, resume=True)
+    assert len(reports) == 1
+    for ours, theirs in zip(resumed._policy().layers, whole._policy().layers, strict=True):
+        assert np.array_equal(ours[0], theirs[0])
+        assert np.array_equal(ours[1], theirs[1])
+    assert len(whole.history) == len(resumed.history) == 2
+
+
+def test_training_changes_the_policy_and_another_seed_another_way(tmp_path):
+    first = train(tmp_path, "a", TINY)._policy()
+    other = train(tmp_path, "b", replace(TINY, seed=1))._policy()
+    assert not np.array_equal(first.layers[0][0], other.layers[0][0])
+    saved = load_policy(get_robot("jvrc1"), tmp_path / "a" / "jvrc1.safetensors")
+    assert saved.about["trained"]["seed"] == 0
+
+
+def test_folder_that_cannot_be_resumed_says_why(tmp_path):
+    robot = get_robot("jvrc1")
+    trainer = Trainer(robot, TINY, tmp_path / "none", threads=1, command="test")
+    with pytest.raises(TrainingError, match=r"no checkpoint\.pt"):
+        trainer.resume()
+    trainer.save_checkpoint()
+    changed = replace(TINY, seed=5)
+    with pytest.raises(TrainingError, match=r"other settings \(seed\)"):
+        Trainer(robot, changed, tmp_path / "none", threads=1, command="test").resume()
+    (tmp_path / "none" / "checkpoint.pt").write_bytes(b"no torch file")
+    with pytest.raises(TrainingError, match="damaged"):
+        trainer.resume()

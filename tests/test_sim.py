@@ -1,0 +1,275 @@
+"""Laws of the robot models and of the batched simulation; every robot in the registry runs them."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from sim.batch import SimBatch
+from sim.clearance import min_clearance_m
+from sim.robots import get_robot, robot_names
+from sim.scene import Scene, Walls, build_scene
+
+CONTROL_PERIOD_S = 0.025
+
+
+def mirrored_qpos(scene: Scene, qpos: np.ndarray) -> np.ndarray:
+    """The state seen in a mirror that lies in the plane y = 0."""
+    index, sign = scene.robot.mirror_joints
+    mirrored = qpos.copy()
+    mirrored[1] *= -1
+    mirrored[[4, 6]] *= -1
+    mirrored[scene.joint_qpos] = sign * qpos[scene.joint_qpos][index]
+    return mirrored
+
+
+def mirrored_qvel(scene: Scene, qvel: np.ndarray) -> np.ndarray:
+    index, sign = scene.robot.mirror_joints
+    mirrored = qvel.copy()
+    mirrored[[1, 3, 5]] *= -1
+    mirrored[scene.joint_qvel] = sign * qvel[scene.joint_qvel][index]
+    return mirrored
+
+
+@pytest.fixture(scope="module", params=robot_names())
+def scene(request) -> Scene:
+    return build_scene(get_robot(request.param), timestep_s=0.001)
+
+
+def test_unknown_robot_is_named_with_those_there_are():
+    with pytest.raises(ValueError, match=r"no robot 'r2d2': choose one of .*jvrc1"):
+        get_robot("r2d2")
+
+
+def test_mass_and_joints_are_those_the_robot_states(scene):
+    assert scene.model.body_mass.sum() == pytest.approx(scene.robot.mass_kg, abs=0.05)
+    assert scene.model.nv == 6 + len(scene.robot.joints)
+    assert scene.model.nu == len(scene.robot.joints)
+
+
+def test_half_sitting_stands_flat_and_at_its_height(scene):
+    soles = scene.soles_at(scene.standing_qpos)
+    assert soles[:, 2] == pytest.approx(0.0, abs=2e-4)
+    assert soles.mean(axis=0)[:2] == pytest.approx(0.0, abs=1e-9)
+    assert soles[0, 1] == pytest.approx(-soles[1, 1])
+    assert scene.standing_qpos[2] == pytest.approx(scene.robot.pelvis_height_m, abs=2e-3)
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    mujoco.mj_kinematics(scene.model, data)
+    for side in ("left", "right"):
+        up = data.site(f"{side}_sole").xmat.reshape(3, 3)[:, 2]
+        assert up == pytest.approx([0, 0, 1], abs=2e-3)
+
+
+def test_half_sitting_lies_within_the_joint_ranges(scene):
+    for joint in scene.robot.joints:
+        low, high = scene.model.joint(joint.name).range
+        assert low < joint.half_sitting_rad < high
+
+
+def test_nothing_touches_in_half_sitting_but_the_soles_the_floor(scene):
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    data.qpos[2] -= 0.001
+    mujoco.mj_forward(scene.model, data)
+    names = {
+        frozenset(scene.model.geom(geom).name for geom in contact.geom) for contact in data.contact
+    }
+    assert names == {frozenset({"floor", f"{side}_foot"}) for side in ("left", "right")}
+
+
+def test_planner_foot_is_the_sole_box_and_the_site_its_centre(scene):
+    foot = scene.robot.step_model.foot
+    for side in ("left", "right"):
+        geom, site = scene.model.geom(f"{side}_foot"), scene.model.site(f"{side}_sole")
+        assert 2 * geom.size[:2] == pytest.approx([foot.length_m, foot.width_m])
+        assert site.pos[:2] == pytest.approx(geom.pos[:2])
+        assert site.pos[2] == pytest.approx(geom.pos[2] - geom.size[2])
+
+
+def test_planner_body_box_holds_the_upper_body(scene):
+    """Sampled in half-sitting: every collision shape but legs and feet lies inside the box."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    mujoco.mj_kinematics(scene.model, data)
+    body = scene.robot.step_model.body
+    looked_at = 0
+    for geom in range(scene.model.ngeom):
+        if scene.model.geom_contype[geom] or not scene.model.geom_conaffinity[geom]:
+            continue
+        axis = data.geom_xmat[geom].reshape(3, 3)[:, 2] * scene.model.geom_size[geom, 1]
+        reach = np.abs(np.stack([data.geom_xpos[geom] + axis, data.geom_xpos[geom] - axis]))
+        reach = reach.max(axis=0)[:2] + scene.model.geom_size[geom, 0]
+        assert reach[0] <= body.length_m / 2 + 1e-6, scene.model.geom(geom).name
+        assert reach[1] <= body.width_m / 2 + 1e-6, scene.model.geom(geom).name
+        looked_at += 1
+    assert looked_at >= 3
+
+
+def test_mirroring_twice_is_the_identity(scene):
+    rng = np.random.default_rng(1)
+    qpos, qvel = rng.normal(size=scene.model.nq), rng.normal(size=scene.model.nv)
+    assert not np.allclose(mirrored_qpos(scene, qpos), qpos)
+    assert mirrored_qpos(scene, mirrored_qpos(scene, qpos)) == pytest.approx(qpos)
+    assert mirrored_qvel(scene, mirrored_qvel(scene, qvel)) == pytest.approx(qvel)
+
+
+def test_the_mirrored_robot_moves_as_the_mirror_image(scene):
+    """Off the ground, where no contact solver breaks the symmetry: the model itself is mirrored."""
+    robot, rng = scene.robot, np.random.default_rng(2)
+    index, sign = robot.mirror_joints
+    qpos = scene.standing_qpos.copy()
+    qpos[2] += 0.5
+    qvel = 0.3 * rng.normal(size=scene.model.nv)
+    targets = robot.half_sitting_rad + 0.2 * rng.normal(size=len(robot.joints))
+    sim = SimBatch(scene, count=2, control_period_s=CONTROL_PERIOD_S)
+    sim.reset(
+        np.arange(2),
+        np.stack([qpos, mirrored_qpos(scene, qpos)]),
+        np.stack([qvel, mirrored_qvel(scene, qvel)]),
+    )
+    for _ in range(4):
+        sim.step(np.stack([targets, sign * targets[index]]))
+    # The URDF's own inertias differ between left and right in the sixth digit.
+    assert sim.qpos[1] == pytest.approx(mirrored_qpos(scene, sim.qpos[0]), abs=1e-4)
+    assert not np.allclose(sim.qpos[0], sim.qpos[1], atol=1e-2)
+
+
+def test_sensors_agree_with_what_mujoco_computes(scene):
+    """Ground force against the sum over contacts, the rest against sites and bodies."""
+    model, sensors = scene.model, scene.sensors
+    data = mujoco.MjData(model)
+    data.qpos[:] = scene.standing_qpos
+    data.ctrl[:] = scene.robot.half_sitting_rad
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+    mujoco.mj_forward(model, data)
+    read = data.sensordata
+    for k, side in enumerate(("left", "right")):
+        site = data.site(f"{side}_sole")
+        assert read[sensors.sole_pos_world[k]] == pytest.approx(site.xpos)
+        assert read[sensors.sole_x_axis_world[k]] == pytest.approx(site.xmat[[0, 3, 6]])
+        total = np.zeros(3)
+        for c, contact in enumerate(data.contact):
+            if model.geom(f"{side}_foot").id in contact.geom:
+                wrench = np.zeros(6)
+                mujoco.mj_contactForce(model, data, c, wrench)
+                towards = 1 if contact.geom[1] == model.geom(f"{side}_foot").id else -1
+                total += towards * contact.frame.reshape(3, 3).T @ wrench[:3]
+        assert total[2] > 100
+        assert read[sensors.ground_force_world[k]] == pytest.approx(total)
+    assert read[sensors.head_pos_world] == pytest.approx(data.site("head").xpos)
+    assert read[sensors.joint_torque] == pytest.approx(data.actuator_force)
+    assert read[sensors.legs_touching] == 0
+    assert read[sensors.wall_contacts] == 0
+
+
+def test_servo_torque_is_the_pd_law_clipped_at_the_limit(scene):
+    robot, data = scene.robot, mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    data.qvel[scene.joint_qvel] = 0.5
+    data.ctrl[:] = robot.half_sitting_rad + 0.1
+    mujoco.mj_forward(scene.model, data)
+    expected = [j.kp * 0.1 - j.kd * 0.5 for j in robot.joints]
+    assert data.actuator_force == pytest.approx(expected)
+    data.ctrl[:] = robot.half_sitting_rad + 1e3
+    mujoco.mj_forward(scene.model, data)
+    assert data.actuator_force == pytest.approx([j.torque_limit_nm for j in robot.joints])
+
+
+def test_legs_that_cross_are_felt(scene):
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    for joint, address in zip(scene.robot.joints, scene.joint_qpos, strict=True):
+        if joint.mirror_sign == -1 and "R" in joint.name.split("_")[-1]:
+            side = 1 if joint.name.startswith("L") else -1
+            data.qpos[address] -= 0.3 * side  # both feet inwards
+    mujoco.mj_forward(scene.model, data)
+    assert data.sensordata[scene.sensors.legs_touching] > 0
+
+
+@pytest.mark.parametrize(("gap_m", "touches"), [(0.02, False), (-0.02, True)])
+def test_a_wall_is_felt_and_its_distance_measured(gap_m, touches):
+    robot = get_robot("jvrc1")
+    half_width = robot.step_model.body.width_m / 2
+    plain = build_scene(robot, timestep_s=0.001)
+    reach = _widest(plain)
+    assert reach <= half_width
+    wall_y = reach + gap_m + 0.05
+    # The wall's own frame is turned and shifted, as a map's may be.
+    walls = Walls(boxes_m=np.array([[wall_y, 0.0, 0.05, 2.0]]), origin=(0.0, 0.0, np.pi / 2))
+    scene = build_scene(robot, timestep_s=0.001, walls=walls)
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    mujoco.mj_forward(scene.model, data)
+    assert (data.sensordata[scene.sensors.wall_contacts[0]] > 0) == touches
+    measured = min_clearance_m(scene, scene.standing_qpos[None])
+    assert measured == pytest.approx(gap_m, abs=2e-3)
+
+
+def _widest(scene: Scene) -> float:
+    """Largest y of any collision capsule below the walls' height."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    mujoco.mj_kinematics(scene.model, data)
+    widest = 0.0
+    for geom in range(scene.model.ngeom):
+        if scene.model.geom_conaffinity[geom] and data.geom_xpos[geom, 2] < 1.0:
+            axis = data.geom_xmat[geom].reshape(3, 3)[:, 2] * scene.model.geom_size[geom, 1]
+            y = max(data.geom_xpos[geom, 1] + axis[1], data.geom_xpos[geom, 1] - axis[1])
+            widest = max(widest, y + scene.model.geom_size[geom, 0])
+    return widest
+
+
+def test_clearance_is_unknown_without_walls(scene):
+    assert min_clearance_m(scene, scene.standing_qpos[None]) is None
+
+
+def test_batch_equals_a_loop_over_mj_step_for_any_thread_count(scene):
+    rng = np.random.default_rng(3)
+    targets = scene.robot.half_sitting_rad + 0.1 * rng.normal(size=(5, 3, scene.model.nu))
+    ends = []
+    for threads in (1, 2):
+        sim = SimBatch(scene, count=3, control_period_s=CONTROL_PERIOD_S, threads=threads)
+        for row in targets:
+            sim.step(row)
+        ends.append(np.concatenate([sim.qpos, sim.qvel], axis=1).copy())
+    assert np.array_equal(ends[0], ends[1])
+    for k in range(3):
+        data = mujoco.MjData(scene.model)
+        data.qpos[:] = scene.standing_qpos
+        for row in targets:
+            data.ctrl[:] = row[k]
+            for _ in range(25):
+                mujoco.mj_step(scene.model, data)
+        assert np.array_equal(ends[0][k], np.concatenate([data.qpos, data.qvel]))
+
+
+def test_one_broken_simulation_is_told_and_harms_no_other(scene):
+    sim = SimBatch(scene, count=3, control_period_s=CONTROL_PERIOD_S)
+    whole = SimBatch(scene, count=3, control_period_s=CONTROL_PERIOD_S)
+    targets = np.tile(scene.robot.half_sitting_rad, (3, 1))
+    sim.qvel[1] = np.nan
+    sim.step(targets)
+    whole.step(targets)
+    assert sim.failed.tolist() == [False, True, False]
+    assert np.array_equal(sim.qpos[[0, 2]], whole.qpos[[0, 2]])
+    sim.reset(np.array([1]), scene.standing_qpos[None])
+    sim.step(targets)
+    assert not sim.failed.any()
+    assert np.isfinite(sim.qpos).all()
+
+
+def test_control_period_must_be_whole_physics_steps(scene):
+    with pytest.raises(ValueError, match="not a whole number of physics steps"):
+        SimBatch(scene, count=1, control_period_s=0.0255)
+
+
+def test_qpos_at_puts_the_feet_around_the_pose(scene):
+    pose = np.array([1.5, -2.0, 2.5])
+    soles = scene.soles_at(scene.qpos_at(pose))
+    assert soles.mean(axis=0)[:2] == pytest.approx(pose[:2], abs=1e-9)
+    assert soles[:, 3] == pytest.approx(2.5, abs=1e-6)
+    left = soles[0, :2] - pose[:2]
+    assert left @ [-np.sin(2.5), np.cos(2.5)] > 0.05
