@@ -1,0 +1,231 @@
+"""Planning of footsteps: the one call behind which every search lives."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from maps.grid import OccupancyGrid
+from planner.ara import Request, Result, plan_ara
+from planner.collision import terrain_of
+from planner.endpoints import suggestion, what_blocks
+from planner.guide import Potential, build_potential
+from planner.lattice import StepTable, build_step_table
+from planner.model import Side, StepModel
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
+from planner.space import Space, build_space
+
+FloatArray = NDArray[np.float64]
+_ALREADY_THERE_M = 1e-6
+
+
+@lru_cache(maxsize=8)
+def _tables(model: StepModel) -> tuple[StepTable, Potential]:
+    table = build_step_table(model)
+    return table, build_potential(model, table)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Query:
+    goal: Pose
+    start: Pose
+    start_feet_world: FloatArray
+    stands: bool
+    first_side: Side | None
+
+
+class Planner:
+    """Plans over one map for one robot; keeps what plans to the same goal have in common.
+
+    Make one and ask it again whenever the robot must replan: the checks of the map near the goal
+    and the way are then known already.
+    """
+
+    def __init__(
+        self, grid: OccupancyGrid, model: StepModel, options: PlannerOptions | None = None
+    ) -> None:
+        self.grid = grid
+        self.model = model
+        self.options = options or PlannerOptions()
+        self._terrain = terrain_of(grid, self.options.unknown_is_free)
+        self._table, self._potential = _tables(model)
+        self._space: tuple[Pose, Space] | None = None
+
+    def plan(
+        self,
+        *,
+        goal: ArrayLike,
+        start: ArrayLike | None = None,
+        start_feet_world: ArrayLike | None = None,
+        first_side: Side | None = None,
+    ) -> FootstepPlan:
+        """Plan from a pair pose or from both feet as they stand to a pair pose, all in the world.
+
+        goal, start: x_m, y_m, yaw_rad. start_feet_world (2, 4): x_m, y_m, z_m, yaw_rad of the left
+        and right foot; then the feet and the body are where they are, so margins do not count at
+        the start itself nor for the body in the first step. first_side: the foot that must step
+        first; the search chooses if not given. Empty if the feet already stand at the goal.
+        Raises ValueError for numbers that are not finite or for both or neither kind of start.
+        """
+        began = time.perf_counter()
+        query = self._query(goal, start, start_feet_world, first_side)
+        plan = FootstepPlan(
+            start_feet_world=query.start_feet_world,
+            start=query.start,
+            goal=query.goal,
+            planner=self.options.name,
+            epsilon=math.inf,
+        )
+        status, reason = self._refusal(query)
+        if status is not None:
+            plan = replace(plan, status=status, reason=reason)
+        elif self._is_there(query):
+            plan = replace(plan, epsilon=1.0)
+        else:
+            plan = self._search(query, plan, began)
+        return replace(plan, time_s=time.perf_counter() - began)
+
+    def _query(
+        self,
+        goal: ArrayLike,
+        start: ArrayLike | None,
+        start_feet_world: ArrayLike | None,
+        first_side: Side | None,
+    ) -> _Query:
+        if (start is None) == (start_feet_world is None):
+            raise ValueError("give either start or start_feet_world")
+        goal_pose = _finite("goal", goal, (3,))
+        if start_feet_world is None:
+            start_pose = _finite("start", start, (3,))
+            feet = feet_at(start_pose, self.model.stance_width_m)
+        else:
+            feet = _finite("start_feet_world", start_feet_world, (2, 4))
+            start_pose = pair_pose(feet)
+        return _Query(
+            goal=_pose(goal_pose),
+            start=_pose(start_pose),
+            start_feet_world=feet,
+            stands=start_feet_world is not None,
+            first_side=first_side,
+        )
+
+    def _refusal(self, query: _Query) -> tuple[PlanStatus | None, str]:
+        """Why no search is worth starting: a status and one line, or None."""
+        for name, pose in (("start", query.start), ("goal", query.goal)):
+            if not self.grid.contains(pose[:2]):
+                x0, y0, x1, y1 = self.grid.bounds_world()
+                return PlanStatus.OFF_MAP, (
+                    f"{name} {pose[0]:g},{pose[1]:g} is off the map, which reaches from "
+                    f"{x0:g},{y0:g} to {x1:g},{y1:g}"
+                )
+        feet_goal = feet_at(query.goal, self.model.stance_width_m)
+        for status, name, feet, margins in (
+            (PlanStatus.START_BLOCKED, "start", query.start_feet_world, not query.stands),
+            (PlanStatus.GOAL_BLOCKED, "goal", feet_goal, True),
+        ):
+            blocked = what_blocks(self.grid, self._terrain, self.model, feet, margins)
+            if blocked:
+                near = suggestion(self.grid, self._terrain, self.model, pair_pose(feet))
+                return status, f"{name}: {blocked}{near}"
+        return None, ""
+
+    def _is_there(self, query: _Query) -> bool:
+        off = query.start_feet_world - feet_at(query.goal, self.model.stance_width_m)
+        off[:, 3] = wrap_angle(off[:, 3])
+        return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
+
+    def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
+        if self._space is None or self._space[0] != query.goal:
+            space = build_space(self.grid, self._terrain, self.model, self._table, query.goal)
+            self._space = query.goal, space
+        result = plan_ara(
+            Request(
+                space=self._space[1],
+                model=self.model,
+                potential=self._potential,
+                feet_lattice=_to_lattice(query.start_feet_world, query.goal),
+                stands=query.stands,
+                first_side=query.first_side,
+            ),
+            self.options,
+            began,
+        )
+        plan = replace(
+            plan,
+            status=result.status,
+            reason=result.reason,
+            expansions=result.expansions,
+            time_to_first_s=result.time_to_first_s,
+        )
+        if result.status is not PlanStatus.FOUND:
+            return plan
+        return replace(
+            plan,
+            side=result.side,
+            pose_world=self._poses_world(result, query.goal),
+            cost_m=result.cost_m,
+            epsilon=result.epsilon,
+        )
+
+    def _poses_world(self, result: Result, goal: Pose) -> FloatArray:
+        """Poses (N, 4) in the world; the last two are the goal feet to the bit."""
+        cos, sin = math.cos(goal[2]), math.sin(goal[2])
+        x, y, yaw = result.pose_lattice.T
+        poses = np.column_stack(
+            [
+                goal[0] + cos * x - sin * y,
+                goal[1] + sin * x + cos * y,
+                np.zeros(len(x)),
+                wrap_angle(goal[2] + yaw),
+            ]
+        )
+        feet = feet_at(goal, self.model.stance_width_m)
+        poses[-2:] = feet[result.side[-2:]]
+        return poses
+
+
+def plan_footsteps(
+    grid: OccupancyGrid,
+    model: StepModel,
+    *,
+    goal: ArrayLike,
+    start: ArrayLike | None = None,
+    start_feet_world: ArrayLike | None = None,
+    first_side: Side | None = None,
+    options: PlannerOptions | None = None,
+) -> FootstepPlan:
+    """One plan; see `Planner.plan`. Make a `Planner` to plan more than once on a map."""
+    return Planner(grid, model, options).plan(
+        goal=goal, start=start, start_feet_world=start_feet_world, first_side=first_side
+    )
+
+
+def _finite(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
+    array = np.asarray(values, dtype=float)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} {values!r} must be finite numbers of shape {shape}")
+    return array
+
+
+def _pose(values: FloatArray) -> Pose:
+    x_m, y_m, yaw_rad = (float(v) for v in values)
+    return x_m, y_m, yaw_rad
+
+
+def _to_lattice(feet_world: FloatArray, goal: Pose) -> FloatArray:
+    """Feet (2, 3) as x_m, y_m, yaw_rad in the lattice frame of a goal."""
+    cos, sin = math.cos(goal[2]), math.sin(goal[2])
+    away = feet_world[:, :2] - np.array(goal[:2])
+    return np.column_stack(
+        [
+            cos * away[:, 0] + sin * away[:, 1],
+            cos * away[:, 1] - sin * away[:, 0],
+            wrap_angle(feet_world[:, 3] - goal[2]),
+        ]
+    )

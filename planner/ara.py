@@ -1,0 +1,254 @@
+"""One ARA* run: seeds, heuristic, rounds of falling epsilon, and the plan or why there is none."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner import search
+from planner.body_path import search_body_path
+from planner.connect import first_steps
+from planner.guide import Potential
+from planner.lattice import MICRO, final_cost_um, foot_position
+from planner.model import Side, StepModel
+from planner.options import PlannerOptions
+from planner.plan import PlanStatus
+from planner.search import Heuristic, Tree
+from planner.space import Space
+
+FloatArray = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+_BUDGET = 4096  # expansions between two looks at the clock
+_MARGIN_UM = 3_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A search on the lattice. feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand."""
+
+    space: Space
+    model: StepModel
+    potential: Potential
+    feet_lattice: FloatArray
+    stands: bool
+    first_side: Side | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason."""
+
+    status: PlanStatus
+    reason: str = ""
+    side: NDArray[np.int8]
+    pose_lattice: FloatArray
+    cost_m: float = 0.0
+    epsilon: float = math.inf
+    expansions: int = 0
+    time_to_first_s: float = 0.0
+
+
+def _failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
+    return Result(
+        status=status,
+        reason=reason,
+        side=np.zeros(0, np.int8),
+        pose_lattice=np.zeros((0, 3)),
+        expansions=expansions,
+    )
+
+
+def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
+    """Searches until epsilon is proven or a limit of the options is reached.
+
+    began: time.perf_counter() of the request's arrival, from which times count.
+    """
+    nodes, costs_um = _seeds(request)
+    if not len(nodes):
+        side = "" if request.first_side is None else f" with the {request.first_side.name.lower()}"
+        return _failure(
+            PlanStatus.NO_PATH, f"start: no first step{side} is free of obstacles and in limits"
+        )
+    heuristic = _heuristic(request, nodes)
+    if heuristic is None:
+        return _failure(
+            PlanStatus.NO_PATH,
+            "the goal cannot be reached: obstacles enclose the start or the goal "
+            "for a body of this width",
+        )
+    tree = _new_tree(request, nodes)
+    search.seed(request.space, heuristic, tree, nodes, costs_um)
+    return _Run(request, options, began, heuristic, tree).result()
+
+
+def _seeds(request: Request) -> tuple[Int64s, Int64s]:
+    """Nodes and costs of the first steps with either foot, or with the one asked for."""
+    sides = Side if request.first_side is None else (request.first_side,)
+    # A robot that stands too near to an obstacle must be able to leave.
+    margin_m = 0.0 if request.stands else request.model.body_margin_m
+    found = [
+        first_steps(request.space, request.model, request.feet_lattice[side.other], side, margin_m)
+        for side in sides
+    ]
+    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+
+
+def _heuristic(request: Request, seeds: Int64s) -> Heuristic | None:
+    """The heuristic for a search from these nodes; None if no body path leads to any of them."""
+    space, potential = request.space, request.potential
+    body_cell = (potential.body_row * space.cols + potential.body_col).reshape(-1)
+    rows = (seeds >> 1) % space.headings * 2 + (seeds & 1)
+    targets = (seeds >> 1) // space.headings + body_cell[rows]
+    path = search_body_path(space, potential, targets, _MARGIN_UM)
+    if not np.any(path.cost_um[targets] > 0):
+        return None
+    return Heuristic(path.cost_um, path.frontier_um, body_cell, potential.potential_um.reshape(-1))
+
+
+def _new_tree(request: Request, seeds: Int64s) -> Tree:
+    space = request.space
+    nodes = space.cols * space.rows * space.headings * 2
+    origin = (space.origin_row * space.cols + space.origin_col) * space.headings * 2
+    scalars = np.zeros(search.SCALARS, np.int64)
+    scalars[search.BEST_UM] = search.NO_COST
+    entries = (1 << 16) + len(seeds)
+    return Tree(
+        cost_um=np.zeros(nodes, np.int32),
+        before=np.zeros(nodes, np.int32),
+        round=np.zeros(nodes, np.uint8),
+        entry_node=np.empty(entries, np.int32),
+        entry_next=np.empty(entries, np.int32),
+        head=np.full(search.BUCKETS + 1, -1, np.int32),
+        goals=np.array([origin, origin + 1]),
+        final_um=final_cost_um(request.model),
+        scalars=scalars,
+    )
+
+
+class _Run:
+    """The rounds of one search and the limits on them."""
+
+    def __init__(
+        self,
+        request: Request,
+        options: PlannerOptions,
+        began: float,
+        heuristic: Heuristic,
+        tree: Tree,
+    ) -> None:
+        self.request = request
+        self.options = options
+        self.began = began
+        self.heuristic = heuristic
+        self.tree = tree
+        self.time_to_first_s = 0.0
+        self.least_um = 0
+        self.proven = math.inf
+
+    def result(self) -> Result:
+        """Runs all rounds and reads the plan from the tree."""
+        epsilon = self.options.epsilon
+        while self._round(epsilon) and epsilon > self.options.final_epsilon:
+            epsilon = max(self.options.final_epsilon, _next_epsilon(epsilon))
+        expansions = int(self.tree.scalars[search.EXPANSIONS])
+        self._note_bound(math.inf)
+        if self._best_um < search.NO_COST:
+            return self._plan(expansions)
+        if self._limit_reached():
+            reason = (
+                f"no plan found within {self._limit_reached()}; "
+                f"any plan costs at least {self.least_um / MICRO:.2f} m"
+            )
+            return _failure(PlanStatus.TIMED_OUT, reason, expansions)
+        reason = (
+            "the goal cannot be reached: all poses that steps lead to were searched "
+            f"({expansions} expansions)"
+        )
+        return _failure(PlanStatus.NO_PATH, reason, expansions)
+
+    @property
+    def _best_um(self) -> int:
+        return int(self.tree.scalars[search.BEST_UM])
+
+    def _round(self, epsilon: float) -> bool:
+        """One search with a weight; whether another one may follow."""
+        space, heuristic = self.request.space, self.heuristic
+        self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
+        self._note_bound(math.inf)
+        while True:
+            outcome = search.expand(space, heuristic, self.tree, epsilon, self._budget())
+            if outcome == search.OUT_OF_ENTRIES:
+                self.tree = self.tree._replace(
+                    entry_node=_doubled(self.tree.entry_node),
+                    entry_next=_doubled(self.tree.entry_next),
+                )
+            elif outcome == search.IMPROVED:
+                if self.time_to_first_s == 0.0:
+                    self.time_to_first_s = time.perf_counter() - self.began
+                if self.options.stop_at_first:
+                    self._note_bound(math.inf)
+                    return False
+            elif outcome in (search.FINISHED, search.EXHAUSTED):
+                self._note_bound(epsilon)
+                return self._best_um < search.NO_COST and self.proven > self.options.final_epsilon
+            if self._limit_reached():
+                return False
+
+    def _note_bound(self, epsilon: float) -> None:
+        """Takes over what is proven: by a finished search, or by the least open g + h."""
+        best = self._best_um
+        if best < search.NO_COST:
+            by_open = max(1.0, best / min(best, max(self.least_um, 1)))
+            self.proven = min(self.proven, epsilon, by_open)
+
+    def _budget(self) -> int:
+        left = self.options.max_expansions - int(self.tree.scalars[search.EXPANSIONS])
+        return max(0, min(_BUDGET, left) if self.options.time_limit_s else left)
+
+    def _limit_reached(self) -> str:
+        """The limit that ended the search, in words; empty if none did."""
+        if self.tree.scalars[search.EXPANSIONS] >= self.options.max_expansions:
+            return f"{self.options.max_expansions} expansions"
+        limit_s = self.options.time_limit_s
+        if limit_s is not None and time.perf_counter() - self.began >= limit_s:
+            return f"{limit_s:g} s"
+        return ""
+
+    def _plan(self, expansions: int) -> Result:
+        space, model = self.request.space, self.request.model
+        last = int(self.tree.scalars[search.BEST_NODE])
+        nodes = np.array(search.trace(self.tree, last))
+        other = self.tree.goals[1 - (last & 1)]
+        nodes = np.append(nodes, other)
+        side = (nodes & 1).astype(np.int8)
+        heading = (nodes >> 1) % space.headings
+        cell = (nodes >> 1) // space.headings
+        col = (cell % space.cols - space.origin_col).astype(float)
+        row = (cell // space.cols - space.origin_row).astype(float)
+        position = np.array(
+            [foot_position(c, r, s, model) for c, r, s in zip(col, row, side, strict=True)]
+        )
+        yaw_rad = heading * (2 * np.pi / space.headings)
+        cost_um = int(self.tree.cost_um[last]) + self.tree.final_um
+        return Result(
+            status=PlanStatus.FOUND,
+            side=side,
+            pose_lattice=np.column_stack([position, yaw_rad]),
+            cost_m=cost_um / MICRO,
+            epsilon=self.proven,
+            expansions=expansions,
+            time_to_first_s=self.time_to_first_s,
+        )
+
+
+def _next_epsilon(epsilon: float) -> float:
+    """The next weight: half of what is above 1, and 1 itself once that is little."""
+    return 1.0 + (epsilon - 1.0) / 2 if epsilon > 1.2 else 1.0
+
+
+def _doubled(array: NDArray[np.int32]) -> NDArray[np.int32]:
+    return np.concatenate([array, np.empty_like(array)])

@@ -1,0 +1,82 @@
+"""Whether the robot can stand at the start and at the goal, and if not, why and where it could."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from maps.grid import OccupancyGrid
+from planner.collision import Terrain, box_free
+from planner.model import BodyShape, FootShape, Side, StepModel
+from planner.plan import feet_at, pair_pose
+
+FloatArray = NDArray[np.float64]
+_SEARCH_RADIUS_M = 2.0
+
+
+def what_blocks(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray, margins: bool = True
+) -> str:
+    """Names the foot or body that cannot be at feet (2, 4), and where; empty if all is free."""
+    foot_margin_m = model.foot_margin_m if margins else 0.0
+    body_margin_m = model.body_margin_m if margins else 0.0
+    for side in Side:
+        x_m, y_m, _, yaw_rad = feet[side]
+        if not _free(grid, terrain, (x_m, y_m, yaw_rad), model.foot, foot_margin_m):
+            return _sentence(grid, f"the {side.name.lower()} foot", x_m, y_m)
+    pose = pair_pose(feet)
+    if not _free(grid, terrain, pose, model.body, body_margin_m):
+        return _sentence(grid, "the body", pose[0], pose[1])
+    return ""
+
+
+def _sentence(grid: OccupancyGrid, what: str, x_m: float, y_m: float) -> str:
+    where = f"{what} at {x_m:.2f},{y_m:.2f}"
+    if not grid.contains((x_m, y_m)):
+        return f"{where} would be off the map"
+    return f"{where} would touch an obstacle, unknown ground or the map's edge"
+
+
+def _free(
+    grid: OccupancyGrid,
+    terrain: Terrain,
+    pose: ArrayLike,
+    shape: FootShape | BodyShape,
+    margin_m: float,
+) -> bool:
+    x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose, dtype=float))
+    x, y = (float(v) for v in grid.world_to_grid((x_m, y_m)))
+    yaw = yaw_rad - grid.origin[2]
+    half_l = shape.length_m / 2 + margin_m
+    half_w = shape.width_m / 2 + margin_m
+    return bool(box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w))
+
+
+def nearest_free_pose(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, pose: ArrayLike
+) -> tuple[float, float, float] | None:
+    """The pose nearest to a blocked one, on rings 5 cm apart, at which the robot can stand.
+
+    The heading is kept if any place allows it, else turned by quarter turns. None within 2 m.
+    """
+    x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose, dtype=float))
+    steps = np.arange(-_SEARCH_RADIUS_M, _SEARCH_RADIUS_M + 0.01, 0.05)
+    away = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    away = away[np.argsort(np.hypot(away[:, 0], away[:, 1]), kind="stable")]
+    for turn in (0.0, math.pi / 2, -math.pi / 2, math.pi):
+        for dx_m, dy_m in away:
+            yaw = math.remainder(yaw_rad + turn, 2 * math.pi)
+            there = round(x_m + dx_m, 3), round(y_m + dy_m, 3), round(yaw, 4)
+            if not what_blocks(grid, terrain, model, feet_at(there, model.stance_width_m)):
+                return there
+    return None
+
+
+def suggestion(grid: OccupancyGrid, terrain: Terrain, model: StepModel, pose: ArrayLike) -> str:
+    """Half a sentence that names the nearest free pose."""
+    there = nearest_free_pose(grid, terrain, model, pose)
+    if there is None:
+        return f"; no pose within {_SEARCH_RADIUS_M:g} m is free"
+    return f"; the nearest free pose is {there[0]:g},{there[1]:g},{there[2]:g}"

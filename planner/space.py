@@ -1,0 +1,209 @@
+"""The lattice laid over one map for one goal, as plain arrays that the compiled search reads.
+
+Nodes are numbered ((row * cols + col) * headings + heading) * 2 + side, with row and col counted
+from a corner so that the whole map and a rim of one step around it have numbers 0 and up. The rim
+is never free, so no step of the search leaves the arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from maps.grid import OccupancyGrid
+from planner.collision import Terrain, box_free, point_clearance
+from planner.lattice import MICRO, StepTable
+from planner.model import StepModel
+
+UNKNOWN, FREE, BLOCKED = 0, 1, 2
+_PAIR_SLOTS = 1 << 18
+
+Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class Steps(NamedTuple):
+    """Step table for the search, arrays (2 H, K); row heading * 2 + side is the support foot's.
+
+    d_node: difference of node numbers. d_half: the same for the midpoint of the feet on the grid
+    of half cells. half_heading: mean heading in half bins. cost_um: 0 for no step.
+    """
+
+    d_node: Int64s
+    d_half: Int64s
+    half_heading: Int64s
+    cost_um: Int64s
+
+
+class Space(NamedTuple):
+    """Geometry of the lattice over a map, and the caches of its checks.
+
+    cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
+    pair pose in the grid frame. origin: col, row of the goal's cell. boxes: half lengths and half
+    widths of foot and body, margins included.
+    """
+
+    terrain: Terrain
+    steps: Steps
+    cols: int
+    rows: int
+    headings: int
+    origin_col: int
+    origin_row: int
+    cell_m: float
+    frame: tuple[float, float, float, float]
+    half_stance_m: float
+    foot: tuple[float, float]
+    body: tuple[float, float]
+    clearance: tuple[float, float]
+    cos: Floats
+    sin: Floats
+    node_state: NDArray[np.uint8]
+    half_clear_m: NDArray[np.float32]
+    pair_key: Int64s
+
+
+def build_steps(table: StepTable, cols: int) -> Steps:
+    """The step table as node differences on a lattice of so many columns."""
+    headings, _, most = table.cost_um.shape
+    index = np.indices(table.cost_um.shape)
+    heading, side = index[0], index[1]
+    to_heading = (heading + table.d_heading) % headings
+    cell = table.d_row * cols + table.d_col
+    d_node = (cell * headings + to_heading - heading) * 2 + (1 - 2 * side)
+    d_half = table.d_row * 2 * cols + table.d_col
+    half_heading = (2 * heading + table.d_heading) % (2 * headings)
+    rows = 2 * headings, most
+    return Steps(
+        d_node=d_node.reshape(rows),
+        d_half=d_half.reshape(rows),
+        half_heading=half_heading.reshape(rows),
+        cost_um=table.cost_um.reshape(rows),
+    )
+
+
+def build_space(
+    grid: OccupancyGrid,
+    terrain: Terrain,
+    model: StepModel,
+    table: StepTable,
+    goal: tuple[float, float, float],
+) -> Space:
+    """The lattice over a map for a goal pair pose in the world; fails for no goal."""
+    x_m, y_m = (float(v) for v in grid.world_to_grid(goal[:2]))
+    yaw_rad = goal[2] - grid.origin[2]
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    width_m, height_m = grid.size_m
+    corners = np.array([[0.0, 0.0], [width_m, 0.0], [0.0, height_m], [width_m, height_m]])
+    corners = (corners - (x_m, y_m)) @ np.array([[cos, -sin], [sin, cos]]) / model.cell_m
+    rim = int(max(np.abs(table.d_col).max(), np.abs(table.d_row).max())) + 4
+    low = np.floor(corners.min(axis=0)).astype(int) - rim
+    high = np.ceil(corners.max(axis=0)).astype(int) + rim
+    cols, rows = (int(v) for v in high - low + 1)
+    half_bins = yaw_rad + np.arange(2 * model.headings) * (np.pi / model.headings)
+    return Space(
+        terrain=terrain,
+        steps=build_steps(table, cols),
+        cols=cols,
+        rows=rows,
+        headings=model.headings,
+        origin_col=int(-low[0]),
+        origin_row=int(-low[1]),
+        cell_m=model.cell_m,
+        frame=(x_m, y_m, cos, sin),
+        half_stance_m=model.stance_width_m / 2,
+        foot=_half_box(model.foot.length_m, model.foot.width_m, model.foot_margin_m),
+        body=_half_box(model.body.length_m, model.body.width_m, model.body_margin_m),
+        clearance=(model.clearance_m, model.clearance_cost_m * MICRO),
+        cos=np.cos(half_bins),
+        sin=np.sin(half_bins),
+        node_state=np.zeros(cols * rows * model.headings * 2, np.uint8),
+        half_clear_m=np.zeros(4 * cols * rows, np.float32),
+        pair_key=np.full(_PAIR_SLOTS, -1, np.int64),
+    )
+
+
+def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, float]:
+    return length_m / 2 + margin_m, width_m / 2 + margin_m
+
+
+@njit(cache=True)
+def to_grid(space: Space, x: float, y: float) -> tuple[float, float]:
+    """Point of the lattice frame in the grid frame."""
+    ox, oy, cos, sin = space.frame
+    return ox + cos * x - sin * y, oy + sin * x + cos * y
+
+
+@njit(cache=True)
+def node_free(space: Space, node: int) -> bool:
+    """Whether the foot's box and the body's box over this one foot are free; cached."""
+    state = space.node_state[node]
+    if state == UNKNOWN:
+        state = FREE if _check_node(space, node) else BLOCKED
+        space.node_state[node] = state
+    return state == FREE
+
+
+@njit(cache=True)
+def _check_node(space: Space, node: int) -> bool:
+    side = node & 1
+    heading = (node >> 1) % space.headings
+    cell = (node >> 1) // space.headings
+    row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
+    out = 1 - 2 * side
+    foot_y = row * space.cell_m + out * space.half_stance_m
+    x, y = to_grid(space, col * space.cell_m, foot_y)
+    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
+    if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
+        return False
+    inward = out * space.half_stance_m
+    body_x, body_y = x + sin * inward, y - cos * inward
+    return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
+
+
+@njit(cache=True)
+def half_clearance(space: Space, half: int) -> float:
+    """Clearance of a point of the grid of half cells; cached. half = row * 2 * cols + col."""
+    stored = space.half_clear_m[half]
+    if stored == 0.0:
+        width = 2 * space.cols
+        row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
+        x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
+        stored = np.float32(1.0 + point_clearance(space.terrain, x, y))
+        space.half_clear_m[half] = stored
+    return stored - 1.0
+
+
+@njit(cache=True)
+def pair_free(space: Space, half: int, half_heading: int, clearance_m: float) -> bool:
+    """Whether the body's box at the pair pose of a step is free, given its centre's clearance."""
+    half_l, half_w = space.body
+    if clearance_m > math.sqrt(half_l * half_l + half_w * half_w) + 1e-6:
+        return True
+    key = (half * 2 * space.headings + half_heading) * 2
+    slot = (key * 0x9E3779B1 >> 7) & (_PAIR_SLOTS - 1)
+    stored = space.pair_key[slot]
+    if stored >> 1 == key >> 1:
+        return (stored & 1) == 1
+    width = 2 * space.cols
+    row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
+    x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
+    free = box_free(
+        space.terrain, x, y, space.cos[half_heading], space.sin[half_heading], half_l, half_w
+    )
+    space.pair_key[slot] = key + (1 if free else 0)
+    return free
+
+
+@njit(cache=True)
+def clearance_cost(space: Space, clearance_m: float) -> int:
+    """Extra cost in micrometres of a step whose pair pose has this clearance."""
+    wanted_m, cost_um = space.clearance
+    if clearance_m >= wanted_m:
+        return 0
+    return int(cost_um * (1.0 - clearance_m / wanted_m))
