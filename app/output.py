@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from app.errors import InputError
 
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 
-def require_writable(path: Path, *, option: str) -> None:
+
+def require_writable(path: Path, *, option: str, endings: Sequence[str] = ()) -> None:
     """Checks now, before the work, that the file can be written later.
 
     Raises:
-        InputError: The folder is missing or not writable, or the path is a folder itself.
+        InputError: The folder is missing or not writable, the path is a folder itself, or it has
+            none of the endings, if any are given.
     """
     folder = path.parent
+    if endings and path.suffix.lower() not in endings:
+        raise InputError(f"{option}: {path} must end in {', '.join(endings)}")
     if path.is_dir():
         raise InputError(f"{option}: {path} is a folder; name a file in it")
     if path.exists() and not path.is_file():
@@ -84,13 +90,23 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def to_json(document: Mapping[str, Any]) -> str:
-    """The document as JSON text with a line end.
+def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
+    """Writes a picture (H, W, 3), red green blue, in the format that the name ends in.
 
     Raises:
-        ValueError: A number is not finite: JSON has no word for that.
+        InputError: The file cannot be written.
     """
-    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    # Here and not above: what writes only text need not wait for it.
+    import cv2
+
+    with replacing(path) as temporary:
+        try:
+            # OpenCV's order is blue, green, red.
+            written = cv2.imwrite(str(temporary), picture[:, :, ::-1])
+        except cv2.error:
+            written = False
+        if not written:
+            raise OSError(f"an image must end in {', '.join(PICTURE_ENDINGS)}")
 
 
 def _umask() -> int:

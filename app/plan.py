@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from typing import Annotated
 
 from app.errors import ExitCode
 from app.inputs import MapOptions, RobotName, find_robot, read_grid
 from app.options import OptionalFile, OptionalTime, Pose, PoseOption, choice, number
-from app.output import require_writable, write_text
+from app.output import PICTURE_ENDINGS, require_writable, write_text
 from app.progress import say
 from planner.options import PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan
@@ -53,9 +54,10 @@ class PlanOptions(MapOptions):
 
 def run(options: PlanOptions) -> int:
     """Carries the command out; returns the exit code."""
-    for option, path in (("--out", options.out), ("--image", options.image)):
-        if path is not None:
-            require_writable(path, option=option)
+    if options.out is not None:
+        require_writable(options.out, option="--out")
+    if options.image is not None:
+        require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
     robot = find_robot(options.robot)
     grid = read_grid(options)
 
@@ -102,4 +104,6 @@ def summary(plan: FootstepPlan) -> str:
 def _bound(epsilon: float) -> str:
     if epsilon == 1.0:
         return "which is the least there is on the lattice"
+    if not math.isfinite(epsilon):
+        return "which may be far from the least"
     return f"at most {epsilon:.2f} times the least there is on the lattice"

@@ -20,7 +20,7 @@ from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
 if TYPE_CHECKING:
     import mujoco
 
-FloatArray = NDArray[np.float64]
+FloatArray = NDArray[np.floating]
 Picture = NDArray[np.uint8]
 
 NO_GL = (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from app.output import replacing
+from app.output import write_picture
 from app.rendering import SIDE, Picture, Recording, View, drawing
 
 if TYPE_CHECKING:
@@ -48,10 +48,7 @@ def write_strip(
             _labelled(drawer.draw(int(moment)), f"{time_s:.2f} s")
             for moment, time_s in zip(recording.nearest(times_s), times_s, strict=True)
         ]
-    with replacing(path) as temporary:
-        # OpenCV's order is blue, green, red.
-        if not cv2.imwrite(str(temporary), tile(tiles, columns or frames)[:, :, ::-1]):
-            raise OSError("the image was not written")
+    write_picture(path, tile(tiles, columns or frames))
 
 
 def tile(pictures: list[Picture], columns: int) -> Picture:
