@@ -76,8 +76,14 @@ def _dispatch(arguments: list[str]) -> int:
 
 @contextlib.contextmanager
 def _warnings_in_one_line() -> Iterator[None]:
-    """Shows each warning as one line, without the file and source line it came from."""
+    """Shows each warning meant for people as one line, without the source line it came from.
+
+    Those are UserWarning and its kin; what else there is speaks to programmers, and the tests
+    show it.
+    """
     with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_args, **_kwargs: print(
             f"warning: {one_line(message)}", file=sys.stderr
         )

@@ -83,7 +83,7 @@ def run(options: PlanOptions) -> int:
         write_path_picture(options.image, grid, robot.step_model, plan)
     if options.json:
         print(text, end="")
-    else:
+    elif plan.expansions or plan.found:
         print(summary(plan))
     if not plan.found:
         say(f"no plan: {plan.status}: {plan.reason}")

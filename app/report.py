@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from app.errors import ExitCode
+from app.output import to_json
 
 FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
@@ -109,7 +110,7 @@ class NavigationReport:
         for key in ("start", "goal"):
             values[key] = [float(part) for part in values[key]]
         values["versions"] = dict(self.versions)
-        return json.dumps({"format": FORMAT, **values}, indent=1, allow_nan=False) + "\n"
+        return to_json({"format": FORMAT, **values})
 
     @classmethod
     def from_json(cls, text: str) -> Self:
