@@ -71,6 +71,10 @@ def _dispatch(arguments: list[str]) -> int:
         program=f"{PROGRAM} {name}",
         example=f"{PROGRAM} {command.example}",
     )
+    if not command.draws:
+        from app.rendering import switch_gl_off
+
+        switch_gl_off()
     return command.load_run()(options)
 
 

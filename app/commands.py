@@ -18,12 +18,15 @@ class Command:
         options: `module:Dataclass`; its fields are the options, its docstring heads the help.
         run: `module:function`, called with the options; it returns the exit code.
         example: A command line that works, without `python main.py`.
+        draws: Whether it may draw the robot. It then settles the GL library itself, before it
+            imports MuJoCo (`prepare_gl` in app/rendering.py); for others rendering is off.
     """
 
     summary: str
     options: str
     run: str
     example: str
+    draws: bool = False
 
     def load_options(self) -> type[Any]:
         """The dataclass of the options."""
@@ -46,6 +49,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             options="app.navigate_options:NavigateOptions",
             run="app.navigate_options:run",
             example="navigate --map maps/room.png --goal 2,1,1.57",
+            draws=True,
         ),
         "plan": Command(
             summary="plan footsteps from a start to a goal on a map",

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-GLASS_ALPHA = 0.18
+GLASS_ALPHA = 0.06
 # Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
 _SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
 _SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)

@@ -10,7 +10,7 @@ from typing import Annotated
 from app.inputs import MapOptions, RobotName
 from app.options import FolderOption, OptionalFile, Pose, PoseOption, whole_number
 from app.progress import say
-from app.rendering import NoGlError, prepare_gl
+from app.rendering import NoGlError, prepare_gl, switch_gl_off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +70,8 @@ def run(options: NavigateOptions) -> int:
         except NoGlError as error:
             say(f"warning: {error}; going on without film and strips")
             options = dataclasses.replace(options, video=None, strip=None, gait_strip=None)
+    else:
+        switch_gl_off()
 
     from app import navigate
 

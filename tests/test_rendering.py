@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import subprocess
 import sys
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -122,13 +125,36 @@ def test_without_a_gl_library_one_line_names_the_packages(monkeypatch):
     def broken(*_args, **_kwargs):
         return subprocess.CompletedProcess(args=(), returncode=1)
 
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
     monkeypatch.setattr(subprocess, "run", broken)
     with pytest.raises(NoGlError) as caught:
         prepare_gl()
     assert "\n" not in str(caught.value)
     for package in ("libegl1", "libgl1-mesa-dri", "libosmesa6"):
         assert package in str(caught.value)
+    assert os.environ["MUJOCO_GL"] == "disable"
+
+
+def test_the_way_that_was_asked_for_is_tried_first(monkeypatch):
+    tried = []
+
+    def note(*_args, env, **_kwargs):
+        tried.append(env["MUJOCO_GL"])
+        return subprocess.CompletedProcess(args=(), returncode=0 if len(tried) == 2 else 1)
+
+    monkeypatch.setattr(platform, "system", lambda: "Linux")
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    monkeypatch.setattr(subprocess, "run", note)
+    assert prepare_gl() == "egl"
+    assert tried == ["osmesa", "egl"]
+    assert os.environ["MUJOCO_GL"] == "egl"
+
+
+def test_mujoco_can_be_imported_whatever_the_variable_says():
+    code = "from app.rendering import switch_gl_off; switch_gl_off(); import mujoco"
+    environment = {**os.environ, "MUJOCO_GL": "no such library"}
+    root = Path(__file__).resolve().parent.parent
+    subprocess.run([sys.executable, "-c", code], env=environment, cwd=root, check=True)
 
 
 DRAW = """
@@ -166,7 +192,11 @@ def drawn(tmp_path_factory):
     """Folder with a strip and a film; drawn apart, as MuJoCo reads MUJOCO_GL only once."""
     folder = tmp_path_factory.mktemp("drawn")
     drawing = subprocess.run(
-        [sys.executable, "-c", DRAW, str(folder)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", DRAW, str(folder)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).resolve().parent.parent,
     )
     if drawing.returncode == 1 and drawing.stderr.strip() == NO_GL:
         pytest.skip(NO_GL)
