@@ -61,8 +61,12 @@ def write_map(tmp_path):
 
     def write(cells: np.ndarray | None = None, **changes: object) -> str:
         keys: dict[str, object] = {
-            "image": "map.png", "resolution": 0.05, "origin": [-3.0, -2.0, 0.0],
-            "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196,
+            "image": "map.png",
+            "resolution": 0.05,
+            "origin": [-3.0, -2.0, 0.0],
+            "negate": 0,
+            "occupied_thresh": 0.65,
+            "free_thresh": 0.196,
         }
         keys.update(changes)
         lines = [f"{key}: {value}" for key, value in keys.items() if value is not ...]

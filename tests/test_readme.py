@@ -1,0 +1,55 @@
+"""The README keeps its word: its lines, commands and links are there."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from app.commands import COMMANDS
+from app.parsing import parse_options
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+CODE_LINES = [
+    line
+    for block in re.findall(r"^```\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    for line in block.splitlines()
+]
+
+
+def test_the_two_set_up_lines_stand_word_for_word():
+    assert [line for line in CODE_LINES if "pip install" in line] == [
+        "python -m pip install -e . && python main.py navigate --map maps/room.png --goal 2,1,1.57",
+        "python -m pip install -e '.[test]' && python -m pytest",
+    ]
+
+
+def test_every_command_is_told_of():
+    section = README.partition("\n## Commands\n")[2].partition("\n## ")[0]
+    told = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    assert sorted(told) == sorted(COMMANDS), "README's table and app/commands.py differ"
+
+
+def test_every_command_line_is_one_that_is_taken():
+    lines = [line.rpartition("python main.py ")[2] for line in CODE_LINES if "main.py " in line]
+    assert len(lines) >= 3
+    for line in lines:
+        name, *words = shlex.split(line)
+        parse_options(COMMANDS[name].load_options(), words, program=name, example="")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/files.md"])
+def test_every_link_leads_somewhere(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", text):
+        assert (ROOT / page).parent.joinpath(target).exists(), f"{page} links to {target}"
+
+
+def test_every_file_that_the_readme_names_is_there():
+    named = set(re.findall(r"`((?:\w+/)+\w+\.\w+|\w+\.py)`", README)) - {"maps/room.png"}
+    assert "app/commands.py" in named
+    for name in named:
+        assert (ROOT / name).exists(), f"README names {name}"
