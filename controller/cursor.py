@@ -87,17 +87,21 @@ class StepCursor:
         self.tick[row] = 0
 
     def advance(self) -> np.ndarray:
-        """Let one control tick pass; true (B,) where a step's period has just ended."""
+        """Let one control tick pass; true (B,) where the period of a step has just ended.
+
+        The weight shift before the first step is not a step.
+        """
         walking = ~self.standing
         self.tick[walking] += 1
         ended = walking & (self.tick >= self.ticks.step)
+        stepped = ended & (self.entry >= STANCE)
         self.entry[ended] += 1
         self.tick[ended] = 0
         arrived = ended & (self.entry == STANCE + self._steps)
         self.standing[arrived] = True
         self.entry[arrived] -= STANCE
         self._set_off()
-        return ended
+        return stepped
 
     def _set_off(self) -> None:
         """Start the gait of robots whose wait is over, at the double support before a swing."""

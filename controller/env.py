@@ -189,6 +189,7 @@ class WalkTask:
             support_indicator=indicator,
             ground_force_weights=force_z / weight_n,
             sole_speed_m_s=np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2),
+            sole_height_m=soles[..., 2] - targets[..., 2],
             foot_error_m=np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2),
             foot_heading_error_rad=np.abs(wrap_angle_rad(soles[..., 3] - targets[..., 3])),
             target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),

@@ -13,6 +13,7 @@ import numpy as np
 
 TARGET_RADIUS_M = 0.20
 FOOT_SPEED_SCALE_M_S = 0.4
+SWING_HEIGHT_M = 0.06
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,6 +23,7 @@ class WalkState:
     support_indicator: np.ndarray  # (B, 2) in [-1, 1], left then right
     ground_force_weights: np.ndarray  # (B, 2) vertical force over the robot's weight
     sole_speed_m_s: np.ndarray  # (B, 2)
+    sole_height_m: np.ndarray  # (B, 2) above where the foot is to stand
     foot_error_m: np.ndarray  # (B, 2) of each foot from its own target
     foot_heading_error_rad: np.ndarray  # (B, 2) absolute
     target_distance_m: np.ndarray  # (B,) of the present step from the nearer foot
@@ -63,6 +65,12 @@ def named_foot_heading(s: WalkState) -> np.ndarray:
     return np.sum(s.swing_share * np.exp(-s.foot_heading_error_rad / 0.1), axis=1)
 
 
+def swing_clearance(s: WalkState) -> np.ndarray:
+    """The swing foot lifted clear of the ground in the middle of its swing."""
+    lift = np.clip(s.sole_height_m / SWING_HEIGHT_M, 0.0, 1.0)
+    return np.min(np.where(s.support_indicator <= -1.0, lift, 1.0), axis=1)
+
+
 def orientation(s: WalkState) -> np.ndarray:
     """Pelvis upright and heading where the feet do."""
     return np.exp(-10 * (1 - s.tilt_cos**2))
@@ -96,6 +104,7 @@ TERMS = {
         any_foot_step,
         named_foot_step,
         named_foot_heading,
+        swing_clearance,
         orientation,
         height,
         upper_body,
@@ -120,8 +129,9 @@ PAPER: Mapping[str, float] = {
 PRECISE: Mapping[str, float] = {
     "ground_force": 0.15,
     "foot_speed": 0.10,
-    "named_foot_step": 0.40,
+    "named_foot_step": 0.35,
     "named_foot_heading": 0.10,
+    "swing_clearance": 0.05,
     **_POSTURE,
 }
 PRESETS = {"paper": PAPER, "precise": PRECISE}

@@ -92,14 +92,14 @@ MODES: Mapping[str, Callable[[np.random.Generator, StepLimits], Draw]] = {
 }
 # How often each mode is drawn in training; the rest of the episodes only stand.
 MODE_SHARES: Mapping[str, float] = {
-    "forward": 0.22,
+    "forward": 0.18,
     "backward": 0.10,
     "sideways": 0.14,
     "curved": 0.16,
     "turning": 0.12,
     "in_place": 0.04,
     "diagonal": 0.06,
-    "arbitrary": 0.12,
+    "arbitrary": 0.16,
 }
 
 

@@ -126,6 +126,14 @@ def test_cursor_says_when_a_step_ends_once_per_step():
     assert bool(cursor.arrived[0])
 
 
+def test_weight_shift_before_the_first_step_does_not_count_as_a_step():
+    cursor = StepCursor(TICKS, 1, 4)
+    cursor.follow(0, track([Side.RIGHT, Side.LEFT]), wait_ticks=3)
+    ended = [bool(cursor.advance()[0]) for _ in range(120)]
+    # 4 ticks until the weight shift begins, 14 of it, then 44 a step.
+    assert np.flatnonzero(ended).tolist() == [4 + 14 + 44 - 1, 4 + 14 + 88 - 1]
+
+
 def test_side_of_the_step_and_phase_of_the_gait_agree_all_along():
     cursor = StepCursor(TICKS, 2, 4)
     cursor.follow(0, track([Side.RIGHT, Side.LEFT, Side.RIGHT]))
