@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from maps.grid import OccupancyGrid
 from planner.ara import Request, Result, plan_ara
 from planner.collision import terrain_of
+from planner.endgame import Endgame, build_endgame
 from planner.endpoints import suggestion, what_blocks
 from planner.guide import Potential, build_potential
 from planner.lattice import StepTable, build_step_table
@@ -26,9 +27,10 @@ _ALREADY_THERE_M = 1e-6
 
 
 @lru_cache(maxsize=8)
-def _tables(model: StepModel) -> tuple[StepTable, Potential]:
+def _tables(model: StepModel) -> tuple[StepTable, Potential, Endgame]:
     table = build_step_table(model)
-    return table, build_potential(model, table)
+    potential = build_potential(model, table)
+    return table, potential, build_endgame(model, table, potential)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +56,7 @@ class Planner:
         self.model = model
         self.options = options or PlannerOptions()
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
-        self._table, self._potential = _tables(model)
+        self._table, self._potential, self._endgame = _tables(model)
         self._space: tuple[Pose, Space] | None = None
 
     def plan(
@@ -149,6 +151,7 @@ class Planner:
                 space=self._space[1],
                 model=self.model,
                 potential=self._potential,
+                endgame=self._endgame,
                 feet_lattice=_to_lattice(query.start_feet_world, query.goal),
                 stands=query.stands,
                 first_side=query.first_side,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planner import search
 from planner.body_path import search_body_path
 from planner.connect import first_steps
+from planner.endgame import Endgame
 from planner.guide import Potential
 from planner.lattice import MICRO, final_cost_um, foot_position
 from planner.model import Side, StepModel
@@ -33,6 +34,7 @@ class Request:
     space: Space
     model: StepModel
     potential: Potential
+    endgame: Endgame
     feet_lattice: FloatArray
     stands: bool
     first_side: Side | None
@@ -103,10 +105,17 @@ def _heuristic(request: Request, seeds: Int64s) -> Heuristic | None:
     body_cell = (potential.body_row * space.cols + potential.body_col).reshape(-1)
     rows = (seeds >> 1) % space.headings * 2 + (seeds & 1)
     targets = (seeds >> 1) // space.headings + body_cell[rows]
-    path = search_body_path(space, potential, targets, _MARGIN_UM)
-    if not np.any(path.cost_um[targets] > 0):
+    path = search_body_path(space, potential, request.endgame, targets, _MARGIN_UM)
+    if path is None:
         return None
-    return Heuristic(path.cost_um, path.frontier_um, body_cell, potential.potential_um.reshape(-1))
+    return Heuristic(
+        path.cost_um,
+        path.frontier_um,
+        body_cell,
+        potential.potential_um.reshape(-1),
+        request.endgame.cost_um,
+        request.endgame.cap_um,
+    )
 
 
 def _new_tree(request: Request, seeds: Int64s) -> Tree:

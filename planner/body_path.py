@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
+from planner.endgame import Endgame
 from planner.guide import MOVES, Potential
 from planner.space import Space, to_grid
 
@@ -28,20 +29,60 @@ class BodyPath(NamedTuple):
 
 
 def search_body_path(
-    space: Space, guide: Potential, targets: NDArray[np.int64], margin_um: int
-) -> BodyPath:
-    """Path costs from the goal's cell outward, until some target cell (n,) is reached.
+    space: Space, guide: Potential, endgame: Endgame, targets: NDArray[np.int64], margin_um: int
+) -> BodyPath | None:
+    """Path costs of the body's cells to the goal; None if no target cell (n,) has a path.
 
-    Goes on for margin_um after the first target, for the heuristic of cells behind the start.
+    The larger of two bounds: the cost of the path to the goal's cell, and outside the ring of the
+    endgame the least cost of a path to a cell of the ring plus what is exact from there. Each goes
+    on for margin_um after the first target, for cells behind the start.
     """
-    cost_um = np.zeros(space.cols * space.rows, np.int32)
     is_target = np.zeros(space.cols * space.rows, np.bool_)
     is_target[targets] = True
     d_cell = MOVES[:, 1] * space.cols + MOVES[:, 0]
-    frontier_um = _spread(
-        space, cost_um, is_target, d_cell, guide.move_um, guide.reach_m, margin_um
-    )
+    goal = space.origin_row * space.cols + space.origin_col
+    rules = d_cell, guide.move_um, guide.reach_m, margin_um
+    cost_um = np.zeros(space.cols * space.rows, np.int32)
+    frontier_um = _spread(space, cost_um, is_target, np.array([goal]), np.array([0]), *rules)
+    if not np.any(cost_um[targets] > 0):
+        return None
+    cells, costs_um = _ring_on_map(space, endgame)
+    if len(cells):
+        ring_um = np.zeros(space.cols * space.rows, np.int32)
+        ring_frontier_um = _spread(space, ring_um, is_target, cells, costs_um, *rules)
+        _raise_outside(space, cost_um, frontier_um, ring_um, ring_frontier_um, endgame.inside)
     return BodyPath(cost_um, int(frontier_um))
+
+
+def _ring_on_map(space: Space, endgame: Endgame) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Cells (n,) of the endgame's ring that lie on the lattice, and their costs."""
+    col = endgame.ring[:, 0] + space.origin_col
+    row = endgame.ring[:, 1] + space.origin_row
+    on_map = (col >= 0) & (row >= 0) & (col < space.cols) & (row < space.rows)
+    return (row * space.cols + col)[on_map], endgame.ring[on_map, 2]
+
+
+@njit(cache=True)
+def _raise_outside(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    frontier_um: int,
+    ring_um: NDArray[np.int32],
+    ring_frontier_um: int,
+    inside: NDArray[np.bool_],
+) -> None:
+    """Raises costs outside the ring to those by way of the ring."""
+    reach = len(inside) // 2
+    for cell in range(len(cost_um)):
+        row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
+        if abs(row) <= reach and abs(col) <= reach and inside[row + reach, col + reach]:
+            continue
+        if cost_um[cell] == _CLOSED_CELL or cost_um[cell] == 0:
+            continue
+        by_ring = ring_um[cell]
+        if by_ring == 0 or by_ring - 1 > ring_frontier_um:
+            by_ring = ring_frontier_um + 1
+        cost_um[cell] = max(min(cost_um[cell], frontier_um + 1), by_ring)
 
 
 @njit(cache=True)
@@ -78,6 +119,8 @@ def _spread(
     space: Space,
     cost_um: NDArray[np.int32],
     is_target: NDArray[np.bool_],
+    seeds: NDArray[np.int64],
+    seed_um: NDArray[np.int64],
     d_cell: NDArray[np.int64],
     move_um: NDArray[np.int64],
     reach_m: float,
@@ -90,16 +133,20 @@ def _spread(
     """
     width = move_um.min()
     ring = int(move_um.max() // width) + 2
+    ring += int((seed_um.max() - seed_um.min()) // width)
     head = np.full(ring, -1, np.int64)
     after = np.empty(1 << 16, np.int64)
     cells = np.empty(1 << 16, np.int64)
-    used, waiting, bucket = 0, 0, 0
-    goal = space.origin_row * space.cols + space.origin_col
-    if _cell_shut(space, goal, reach_m):
-        return 1 << 30
-    cost_um[goal] = 1
-    cells[0], after[0], head[0] = goal, -1, 0
-    used, waiting = 1, 1
+    used, waiting = 0, 0
+    bucket = seed_um.min() // width
+    for i in range(len(seeds)):
+        if _cell_shut(space, seeds[i], reach_m):
+            continue
+        cost_um[seeds[i]] = seed_um[i] + 1
+        slot = seed_um[i] // width % ring
+        cells[used], after[used], head[slot] = seeds[i], head[slot], used
+        used += 1
+        waiting += 1
     stop = 1 << 30
     while waiting > 0:
         if bucket * width > stop:

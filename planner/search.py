@@ -18,10 +18,20 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.space import (
+    BLOCKED,
+    COST_UM,
+    D_CELL,
+    D_COL,
+    D_HALF,
+    D_NODE,
+    D_ROW,
+    HALF_HEADING,
+    TO_ROW,
+    UNKNOWN,
     Space,
+    check_node,
     clearance_cost,
-    half_clearance,
-    node_free,
+    measure_half,
     pair_free,
 )
 
@@ -38,12 +48,14 @@ NO_COST = 1 << 40
 
 
 class Heuristic(NamedTuple):
-    """The heuristic as the search reads it: see `guide.py`."""
+    """The heuristic as the search reads it: see `guide.py` and `endgame.py`."""
 
     cost_um: NDArray[np.int32]
     frontier_um: int
     body_cell: NDArray[np.int64]
     potential_um: NDArray[np.int64]
+    endgame_um: NDArray[np.int32]
+    cap_um: int
 
 
 class Tree(NamedTuple):
@@ -69,12 +81,18 @@ class Tree(NamedTuple):
 @njit(cache=True)
 def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     """Cost in micrometres that no way from a node to the end of a plan falls below."""
-    row = (node >> 1) % space.headings * 2 + (node & 1)
-    cell = (node >> 1) // space.headings + heuristic.body_cell[row]
-    path = heuristic.cost_um[cell]
-    if path <= 0 or path - 1 > heuristic.frontier_um:
-        path = heuristic.frontier_um + 1
-    return max(path - 1 + heuristic.potential_um[row], 0)
+    row, cell = node % (2 * space.headings), node // (2 * space.headings)
+    path = heuristic.cost_um[cell + heuristic.body_cell[row]] - 1
+    if path < 0 or path > heuristic.frontier_um:
+        path = heuristic.frontier_um
+    endgame_um = heuristic.endgame_um
+    reach = len(endgame_um) // 2
+    col = cell % space.cols - space.origin_col + reach
+    up = cell // space.cols - space.origin_row + reach
+    exact = heuristic.cap_um
+    if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
+        exact = endgame_um[up, col, row]
+    return max(path + heuristic.potential_um[row], exact)
 
 
 @njit(cache=True)
@@ -176,67 +194,96 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
 @njit(cache=True)
 def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
     """Expands states until this round's search is over, the plan improves or budget is spent."""
-    scalars = tree.scalars
-    steps = space.steps
-    most = steps.cost_um.shape[1]
+    scalars, head, rounds = tree.scalars, tree.head, tree.round
+    entry_node, entry_next = tree.entry_node, tree.entry_next
     limit = scalars[EXPANSIONS] + budget
-    room = len(tree.entry_node) - most - 1
+    room = len(entry_node) - space.steps.shape[1] - 1
+    cursor = scalars[CURSOR]
     while True:
-        while scalars[CURSOR] < BUCKETS and tree.head[scalars[CURSOR]] < 0:
-            scalars[CURSOR] += 1
-        if scalars[CURSOR] == BUCKETS:
+        while cursor < BUCKETS and head[cursor] < 0:
+            cursor += 1
+        scalars[CURSOR] = cursor
+        if cursor == BUCKETS:
             return EXHAUSTED
-        if scalars[BASE_UM] + (scalars[CURSOR] << scalars[SHIFT]) >= scalars[BEST_UM]:
+        if scalars[BASE_UM] + (cursor << scalars[SHIFT]) >= scalars[BEST_UM]:
             return FINISHED
         if scalars[EXPANSIONS] >= limit:
             return OUT_OF_BUDGET
         if scalars[USED] > room:
             return OUT_OF_ENTRIES
-        entry = tree.head[scalars[CURSOR]]
-        node = tree.entry_node[entry]
-        tree.head[scalars[CURSOR]] = tree.entry_next[entry]
-        if tree.round[node] == scalars[ROUND]:
+        entry = head[cursor]
+        node: int = np.int64(entry_node[entry])  # type: ignore[assignment]
+        head[cursor] = entry_next[entry]
+        if rounds[node] == scalars[ROUND]:
             continue
-        tree.round[node] = scalars[ROUND]
+        rounds[node] = scalars[ROUND]
         scalars[EXPANSIONS] += 1
         if _expand_node(space, heuristic, tree, epsilon, node):
             return IMPROVED
+        cursor = scalars[CURSOR]
 
 
 @njit(cache=True)
 def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, node: int) -> bool:
     """Relaxes all steps from a node; whether a better plan came of it."""
-    scalars, steps = tree.scalars, space.steps
-    here = tree.cost_um[node]
-    row = (node >> 1) % space.headings * 2 + (node & 1)
-    cell = (node >> 1) // space.headings
+    # Arrays in local names: taken from the tuples in the loop they cost more than the loop itself.
+    scalars, cost_um, rounds = tree.scalars, tree.cost_um, tree.round
+    steps, node_state, half_clear_m = space.steps, space.node_state, space.half_clear_m
+    path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
+    body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
+    endgame_um = heuristic.endgame_um
+    body_radius_m = np.sqrt(space.body[0] ** 2 + space.body[1] ** 2) + 1e-6
+    round_now = scalars[ROUND]
+    here = np.int64(cost_um[node])
+    row = node % (2 * space.headings)
+    cell = node // (2 * space.headings)
     half_base = cell // space.cols * 4 * space.cols + cell % space.cols * 2
+    reach = len(endgame_um) // 2
+    near_col = cell % space.cols - space.origin_col + reach
+    near_row = cell // space.cols - space.origin_row + reach
     improved = False
-    for k in range(steps.cost_um.shape[1]):
-        to = node + steps.d_node[row, k]
-        cost = here + steps.cost_um[row, k]
-        if cost == here:
+    for k in range(steps.shape[1]):
+        if steps[row, k, COST_UM] == 0:
             continue
-        old = tree.cost_um[to]
-        if (old != 0 and cost >= old) or not node_free(space, to):
-            continue
-        half = half_base + steps.d_half[row, k]
-        clearance_m = half_clearance(space, half)
-        if not pair_free(space, half, steps.half_heading[row, k], clearance_m):
-            continue
-        cost += clearance_cost(space, clearance_m)
+        to = node + steps[row, k, D_NODE]
+        cost = here + steps[row, k, COST_UM]
+        old = np.int64(cost_um[to])
         if old != 0 and cost >= old:
             continue
-        value = estimate(space, heuristic, to)
+        state = node_state[to]
+        if state == UNKNOWN:
+            state = check_node(space, to)
+        if state == BLOCKED:
+            continue
+        to_row = steps[row, k, TO_ROW]
+        path: int = np.int64(path_um[cell + steps[row, k, D_CELL] + body_cell[to_row]]) - 1  # type: ignore[assignment]
+        if path < 0 or path > frontier_um:
+            path = frontier_um
+        value = path + potential_um[to_row]
+        col, up = near_col + steps[row, k, D_COL], near_row + steps[row, k, D_ROW]
+        if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
+            value = max(value, endgame_um[up, col, to_row])
+        else:
+            value = max(value, heuristic.cap_um)
         if cost + value >= scalars[BEST_UM]:
             continue
-        tree.cost_um[to] = cost
+        half = half_base + steps[row, k, D_HALF]
+        clearance_m = half_clear_m[half] - 1.0
+        if clearance_m < 0.0:
+            clearance_m = measure_half(space, half) - 1.0
+        if clearance_m <= body_radius_m and not pair_free(space, half, steps[row, k, HALF_HEADING]):
+            continue
+        if clearance_m < space.clearance[0]:
+            cost += clearance_cost(space, clearance_m)
+            if (old != 0 and cost >= old) or cost + value >= scalars[BEST_UM]:
+                continue
+        cost_um[to] = cost
         tree.before[to] = node
         improved |= _offer(tree, to, cost)
-        if tree.round[to] != scalars[ROUND]:
+        if rounds[to] != round_now:
             _push(tree, to, cost + int(epsilon * value))
         elif epsilon == 1.0:
-            tree.round[to] = 0
+            rounds[to] = 0
             _push(tree, to, cost + value)
         else:
             _put(tree, to, BUCKETS)

@@ -27,29 +27,24 @@ Int64s = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
-class Steps(NamedTuple):
-    """Step table for the search, arrays (2 H, K); row heading * 2 + side is the support foot's.
-
-    d_node: difference of node numbers. d_half: the same for the midpoint of the feet on the grid
-    of half cells. half_heading: mean heading in half bins. cost_um: 0 for no step.
-    """
-
-    d_node: Int64s
-    d_half: Int64s
-    half_heading: Int64s
-    cost_um: Int64s
+# Columns of Space.steps
+COST_UM, D_COL, D_ROW, D_NODE, D_CELL, TO_ROW, D_HALF, HALF_HEADING = range(8)
 
 
 class Space(NamedTuple):
     """Geometry of the lattice over a map, and the caches of its checks.
 
+    steps (2 H, K, 8): the step table; row heading * 2 + side is the support foot's. COST_UM: 0 for
+    no step. D_COL, D_ROW, D_NODE, D_CELL: differences of columns, rows and numbers. TO_ROW: row of
+    the swing foot. D_HALF: the cells' difference for the midpoint of the feet on the grid of half
+    cells. HALF_HEADING: mean heading in half bins.
     cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
     pair pose in the grid frame. origin: col, row of the goal's cell. boxes: half lengths and half
     widths of foot and body, margins included.
     """
 
     terrain: Terrain
-    steps: Steps
+    steps: Int64s
     cols: int
     rows: int
     headings: int
@@ -68,23 +63,24 @@ class Space(NamedTuple):
     pair_key: Int64s
 
 
-def build_steps(table: StepTable, cols: int) -> Steps:
-    """The step table as node differences on a lattice of so many columns."""
+def build_steps(table: StepTable, cols: int) -> Int64s:
+    """The step table (2 H, K, 8) as number differences on a lattice of so many columns."""
     headings, _, most = table.cost_um.shape
     index = np.indices(table.cost_um.shape)
     heading, side = index[0], index[1]
-    to_heading = (heading + table.d_heading) % headings
-    cell = table.d_row * cols + table.d_col
-    d_node = (cell * headings + to_heading - heading) * 2 + (1 - 2 * side)
-    d_half = table.d_row * 2 * cols + table.d_col
-    half_heading = (2 * heading + table.d_heading) % (2 * headings)
-    rows = 2 * headings, most
-    return Steps(
-        d_node=d_node.reshape(rows),
-        d_half=d_half.reshape(rows),
-        half_heading=half_heading.reshape(rows),
-        cost_um=table.cost_um.reshape(rows),
-    )
+    to_row = (heading + table.d_heading) % headings * 2 + 1 - side
+    d_cell = table.d_row * cols + table.d_col
+    columns = [
+        table.cost_um,
+        table.d_col,
+        table.d_row,
+        d_cell * headings * 2 + to_row - (heading * 2 + side),
+        d_cell,
+        to_row,
+        table.d_row * 2 * cols + table.d_col,
+        (2 * heading + table.d_heading) % (2 * headings),
+    ]
+    return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(2 * headings, most, 8))
 
 
 def build_space(
@@ -144,13 +140,20 @@ def node_free(space: Space, node: int) -> bool:
     """Whether the foot's box and the body's box over this one foot are free; cached."""
     state = space.node_state[node]
     if state == UNKNOWN:
-        state = FREE if _check_node(space, node) else BLOCKED
-        space.node_state[node] = state
+        state = check_node(space, node)
     return state == FREE
 
 
 @njit(cache=True)
-def _check_node(space: Space, node: int) -> bool:
+def check_node(space: Space, node: int) -> int:
+    """FREE or BLOCKED, which it also notes."""
+    state = FREE if _node_is_free(space, node) else BLOCKED
+    space.node_state[node] = state
+    return state
+
+
+@njit(cache=True)
+def _node_is_free(space: Space, node: int) -> bool:
     side = node & 1
     heading = (node >> 1) % space.headings
     cell = (node >> 1) // space.headings
@@ -167,29 +170,28 @@ def _check_node(space: Space, node: int) -> bool:
 
 
 @njit(cache=True)
-def half_clearance(space: Space, half: int) -> float:
-    """Clearance of a point of the grid of half cells; cached. half = row * 2 * cols + col."""
-    stored = space.half_clear_m[half]
-    if stored == 0.0:
-        width = 2 * space.cols
-        row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
-        x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
-        stored = np.float32(1.0 + point_clearance(space.terrain, x, y))
-        space.half_clear_m[half] = stored
-    return stored - 1.0
+def measure_half(space: Space, half: int) -> float:
+    """Clearance + 1 of a point of the grid of half cells, which it also notes.
+
+    half = row * 2 * cols + col.
+    """
+    width = 2 * space.cols
+    row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
+    x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
+    noted: float = np.float32(1.0 + point_clearance(space.terrain, x, y))  # type: ignore[assignment]
+    space.half_clear_m[half] = noted
+    return noted
 
 
 @njit(cache=True)
-def pair_free(space: Space, half: int, half_heading: int, clearance_m: float) -> bool:
-    """Whether the body's box at the pair pose of a step is free, given its centre's clearance."""
-    half_l, half_w = space.body
-    if clearance_m > math.sqrt(half_l * half_l + half_w * half_w) + 1e-6:
-        return True
+def pair_free(space: Space, half: int, half_heading: int) -> bool:
+    """Whether the body's box at the pair pose of a step is free; cached."""
     key = (half * 2 * space.headings + half_heading) * 2
     slot = (key * 0x9E3779B1 >> 7) & (_PAIR_SLOTS - 1)
     stored = space.pair_key[slot]
     if stored >> 1 == key >> 1:
         return (stored & 1) == 1
+    half_l, half_w = space.body
     width = 2 * space.cols
     row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
     x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)

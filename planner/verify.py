@@ -1,0 +1,165 @@
+"""Independent check of a plan by exact polygons (shapely), sharing no geometry with the search."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import affinity
+
+from maps.grid import OccupancyGrid
+from planner.model import Side, StepModel
+from planner.plan import FootstepPlan
+
+FloatArray = NDArray[np.float64]
+# Boxes shrink by this much, so that contact within rounding is no overlap.
+_TOLERANCE_M = 1e-7
+
+
+def violations(
+    plan: FootstepPlan,
+    grid: OccupancyGrid,
+    model: StepModel,
+    *,
+    unknown_is_free: bool = False,
+    stood_freely: bool = True,
+) -> list[str]:
+    """What is wrong with a plan that was found, one line each; empty if it is right.
+
+    Sides alternate; each step is within the limits; consecutive feet keep the gap; the boxes of
+    feet (at every step) and body (at every pair of feet and over every single foot), margins
+    included, lie on the map and off blocked cells; the last two feet are those of the goal pose,
+    exactly. stood_freely: the plan began at a pair pose, so the margins count in the first step
+    too; false where it began from feet as they stood.
+    """
+    if not plan.found:
+        return [f"status is {plan.status}, not found"]
+    if not len(plan):
+        return [] if _feet_are_at_goal(plan, model) else ["empty, but the feet are not at the goal"]
+    checker = _Checker(grid, unknown_is_free)
+    wrong: list[str] = []
+    support = plan.start_feet_world[Side(int(plan.side[0])).other]
+    for i, (side, pose) in enumerate(zip(plan.side, plan.pose_world, strict=True)):
+        swing = Side(int(side))
+        if i and swing == plan.side[i - 1]:
+            wrong.append(f"step {i}: {swing.name.lower()} foot twice in a row")
+        margin_m = model.body_margin_m if i or stood_freely else 0.0
+        wrong += [f"step {i}: {what}" for what in _step_wrongs(support, pose, swing, model)]
+        wrong += [
+            f"step {i}: {what}" for what in checker.step(support, pose, swing, model, margin_m)
+        ]
+        support = pose
+    if not _feet_are_at_goal(plan, model):
+        wrong.append("the last two feet are not the goal's")
+    return wrong
+
+
+def _feet_are_at_goal(plan: FootstepPlan, model: StepModel) -> bool:
+    """Whether the feet end within a nanometre of the goal feet, worked out here once more."""
+    feet = dict(zip((0, 1), plan.start_feet_world, strict=True))
+    feet.update({int(s): p for s, p in zip(plan.side[-2:], plan.pose_world[-2:], strict=True)})
+    if len(plan) == 1:
+        return False
+    x_m, y_m, yaw_rad = plan.goal
+    reach = 1e-9 if len(plan) else 2e-6
+    for side, sign in ((0, 1), (1, -1)):
+        half = sign * model.stance_width_m / 2
+        foot = x_m - half * math.sin(yaw_rad), y_m + half * math.cos(yaw_rad)
+        turn = math.remainder(feet[side][3] - yaw_rad, 2 * math.pi)
+        if math.dist(foot, feet[side][:2]) > reach or abs(turn) > reach:
+            return False
+    return True
+
+
+def _step_wrongs(support: FloatArray, pose: FloatArray, swing: Side, model: StepModel) -> list[str]:
+    """Limits and overlap of one step."""
+    wrong = []
+    if not np.all(np.isfinite(pose)) or pose[2] != 0.0:
+        wrong.append(f"pose {pose} is not finite or not on the floor")
+    out = 1.0 if swing == Side.LEFT else -1.0
+    ahead = affinity.rotate(
+        shapely.Point(pose[0] - support[0], pose[1] - support[1]),
+        -support[3],
+        origin=(0, 0),
+        use_radians=True,
+    )
+    values = ahead.x, out * ahead.y, out * math.remainder(pose[3] - support[3], 2 * math.pi)
+    limits = model.limits
+    for name, value, (low, high) in zip(
+        ("x", "y", "yaw"), values, (limits.x_m, limits.y_m, limits.yaw_rad), strict=True
+    ):
+        if not low - 1e-6 <= value <= high + 1e-6:
+            wrong.append(f"{name} {value:.4f} is outside {low}..{high}")
+    apart_m = shapely.distance(
+        _box(support, model.foot.length_m, model.foot.width_m),
+        _box(pose, model.foot.length_m, model.foot.width_m),
+    )
+    if apart_m < model.foot_gap_m - 1e-9:
+        wrong.append(f"the feet are {apart_m:.4f} m apart, less than {model.foot_gap_m}")
+    return wrong
+
+
+def _box(pose: FloatArray, length_m: float, width_m: float) -> shapely.Polygon:
+    """Rectangle of a size centred on a pose whose first two entries are x, y and last is yaw."""
+    half_l, half_w = length_m / 2, width_m / 2
+    box = affinity.rotate(
+        shapely.box(-half_l, -half_w, half_l, half_w), pose[-1], origin=(0, 0), use_radians=True
+    )
+    return affinity.translate(box, pose[0], pose[1])
+
+
+class _Checker:
+    """Polygons against the blocked cells of one map."""
+
+    def __init__(self, grid: OccupancyGrid, unknown_is_free: bool) -> None:
+        self._blocked = grid.blocked(unknown_is_free)
+        self._size_m = grid.resolution_m
+        self._origin = grid.origin
+        rows, cols = self._blocked.shape
+        self._map = shapely.box(0, 0, cols * self._size_m, rows * self._size_m)
+
+    def step(
+        self,
+        support: FloatArray,
+        pose: FloatArray,
+        swing: Side,
+        model: StepModel,
+        pair_margin_m: float,
+    ) -> list[str]:
+        """What the boxes of one step hit."""
+        inward = model.stance_width_m / 2 * (-1.0 if swing == Side.LEFT else 1.0)
+        turn = math.remainder(pose[3] - support[3], 2 * math.pi)
+        pair = np.array([*(support[:2] + pose[:2]) / 2, support[3] + turn / 2])
+        single = np.array(
+            [
+                pose[0] - inward * math.sin(pose[3]),
+                pose[1] + inward * math.cos(pose[3]),
+                pose[3],
+            ]
+        )
+        foot, body = model.foot, model.body
+        boxes = (
+            ("the foot", pose, foot.length_m, foot.width_m, model.foot_margin_m),
+            ("the body on both feet", pair, body.length_m, body.width_m, pair_margin_m),
+            ("the body on one foot", single, body.length_m, body.width_m, model.body_margin_m),
+        )
+        return [
+            f"{name} hits something at {at[0]:.3f}, {at[1]:.3f}"
+            for name, at, length_m, width_m, margin_m in boxes
+            if self.hits(at, length_m + 2 * margin_m, width_m + 2 * margin_m)
+        ]
+
+    def hits(self, pose_world: FloatArray, length_m: float, width_m: float) -> bool:
+        """Whether a box overlaps a blocked cell or leaves the map."""
+        shrunk = _box(pose_world, length_m - 2 * _TOLERANCE_M, width_m - 2 * _TOLERANCE_M)
+        moved = affinity.translate(shrunk, -self._origin[0], -self._origin[1])
+        box = affinity.rotate(moved, -self._origin[2], origin=(0, 0), use_radians=True)
+        if not self._map.covers(box):
+            return True
+        x0, y0, x1, y1 = (int(v // self._size_m) for v in box.bounds)
+        row, col = np.nonzero(self._blocked[y0 : y1 + 1, x0 : x1 + 1])
+        left, low = (col + x0) * self._size_m, (row + y0) * self._size_m
+        squares = shapely.box(left, low, left + self._size_m, low + self._size_m)
+        return bool(np.any(shapely.intersects(squares, box)))
