@@ -146,7 +146,7 @@ def test_policy_comes_back_from_its_files(tmp_path):
 def test_policy_that_does_not_fit_is_refused_saying_why(tmp_path):
     robot = get_robot("jvrc1")
     path = tmp_path / "p.safetensors"
-    with pytest.raises(PolicyError, match="no policy file .*p.safetensors"):
+    with pytest.raises(PolicyError, match=r"no policy file .*p\.safetensors"):
         load_policy(robot, path)
     save_policy(small_policy(robot), path)
     other = replace(robot, name="someone_else")

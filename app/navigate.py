@@ -1,0 +1,161 @@
+"""The command `navigate`: plan, walk in MuJoCo with the trained policy, report."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from pathlib import Path
+
+import numpy as np
+
+from app.errors import ExitCode, as_bad_input
+from app.inputs import find_robot, read_grid
+from app.navigate_options import NavigateOptions
+from app.navigator import Navigator, NavigatorConfig, scene_of
+from app.output import make_folder, require_writable, write_text
+from app.path_picture import write_path_picture
+from app.progress import ProgressBar, say
+from app.rendering import NoGlError, Recording, prepare_gl
+from app.report import FootError, NavigationReport, Outcome, PolicyFile, installed_versions
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import POLICY_FOLDER, PolicyError, load_policy
+from maps.grid import OccupancyGrid
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan
+from sim.clearance import min_clearance_m
+from sim.robot import Robot
+
+
+def run(options: NavigateOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    started = time.perf_counter()
+    grid, robot = read_grid(options), find_robot(options.robot)
+    policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
+    with as_bad_input(PolicyError):
+        policy = load_policy(robot, policy_path)
+    _check_outputs(options)
+    navigator = Navigator(
+        grid,
+        robot,
+        policy,
+        start=options.start,
+        goal=options.goal,
+        seed=options.seed,
+        config=NavigatorConfig(planner=PlannerOptions(unknown_is_free=options.unknown_is_free)),
+    )
+    plan = dataclasses.replace(
+        navigator.plan(),
+        robot=robot.name,
+        map=str(options.map),
+        start=tuple(options.start),
+        goal=tuple(options.goal),
+    )
+    walk(navigator, plan)
+    report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
+    _write(options, navigator, plan, report)
+    print(report.to_json() if options.json else report.summary())
+    if not options.json:
+        say(f"written to {options.out}: report.json, plan.json, path.png")
+    _draw(options, grid, robot, navigator)
+    return report.outcome.exit_code
+
+
+def walk(navigator: Navigator, plan: FootstepPlan) -> None:
+    """Let the navigator walk to its end, showing how many steps are done."""
+    with ProgressBar("walking, steps", len(plan)) as bar:
+        while navigator.outcome is None:
+            navigator.tick()
+            bar.update(min(len(navigator.placed), len(plan)))
+
+
+def report_of(
+    navigator: Navigator,
+    plan: FootstepPlan,
+    options: NavigateOptions,
+    policy_path: Path,
+    wall_time_s: float,
+) -> NavigationReport:
+    """What the walk came to."""
+    assert navigator.outcome is not None
+    walked = navigator.outcome is not Outcome.NO_PATH
+    distance_m, angle_rad = navigator.goal_error if walked else (None, None)
+    return NavigationReport(
+        outcome=navigator.outcome,
+        reason=navigator.reason,
+        goal_error_m=distance_m,
+        goal_error_rad=angle_rad,
+        steps_planned=len(plan),
+        steps_taken=len(navigator.placed),
+        replans=navigator.replans,
+        foot_error_m=FootError.of([placed.error_m for placed in navigator.placed]),
+        min_clearance_m=clearance_m(navigator) if walked else None,
+        planning_time_s=navigator.planning_time_s,
+        sim_time_s=navigator.time_s,
+        wall_time_s=wall_time_s,
+        robot=plan.robot,
+        map=plan.map,
+        start=tuple(options.start),
+        goal=tuple(options.goal),
+        seed=options.seed,
+        policy=PolicyFile.of(policy_path),
+        versions=installed_versions(),
+    )
+
+
+def clearance_m(navigator: Navigator) -> float | None:
+    """The least distance of the robot from a wall over the whole walk; None without walls."""
+    return min_clearance_m(navigator.scene, np.array(navigator.qpos[::4]))
+
+
+def _check_outputs(options: NavigateOptions) -> None:
+    """Find out before the walk, not after it, that a file cannot be written or drawn."""
+    make_folder(options.out, option="--out")
+    pictures = {
+        "--video": options.video,
+        "--strip": options.strip,
+        "--gait-strip": options.gait_strip,
+    }
+    for option, path in pictures.items():
+        if path is not None:
+            require_writable(path, option=option)
+
+
+def _write(
+    options: NavigateOptions, navigator: Navigator, plan: FootstepPlan, report: NavigationReport
+) -> None:
+    write_text(options.out / "report.json", report.to_json())
+    write_text(options.out / "plan.json", plan.to_json() + "\n")
+    write_path_picture(
+        options.out / "path.png",
+        navigator.grid,
+        navigator.robot.step_model,
+        plan,
+        placed_side=np.array([int(placed.side) for placed in navigator.placed], dtype=np.int8),
+        placed_world=np.array([p.placed_world for p in navigator.placed]).reshape(-1, 4),
+        body_xy_world=np.array(navigator.qpos)[:, :2],
+    )
+
+
+def _draw(
+    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, navigator: Navigator
+) -> None:
+    """Film and picture strips of the walk, where they were asked for."""
+    if options.video is None and options.strip is None and options.gait_strip is None:
+        return
+    from app.strip import write_strip
+    from app.video import write_film
+
+    scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
+    qpos = np.array(navigator.qpos)
+    recording = Recording(qpos=qpos, time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S)
+    if options.video is not None:
+        write_film(options.video, scene.model, recording)
+    if options.strip is not None:
+        write_strip(options.strip, scene.model, recording)
+    if options.gait_strip is not None:
+        middle_s = recording.time_s[-1] / 2
+        end_s = middle_s + 2 * robot.gait.step_s
+        write_strip(options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s)
+
+
+__all__ = ["ExitCode", "NoGlError", "prepare_gl", "run"]
