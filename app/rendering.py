@@ -229,6 +229,8 @@ def drawing(
     model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
     model.vis.global_.offheight = max(height, model.vis.global_.offheight)
     model.vis.quality.offsamples = 4 if fine else 0
+    # Sides that no light reaches would be black; walls have many of them.
+    model.vis.headlight.ambient[:] = 0.2
     try:
         renderer = mujoco.Renderer(model, height, width, max_geom=20_000)
     except Exception as error:
