@@ -94,8 +94,9 @@ class StepModel:
     step_cost_m: what a step costs on top of the distance between its two feet.
     turn_cost_m, side_cost_m, back_cost_m: optional extra cost of a step per radian of turn, per
         metre by which y differs from the stance width, and per metre backwards.
-    clearance_m, clearance_cost_m: optional: a step whose pair pose is nearer than clearance_m to an
-        obstacle costs up to clearance_cost_m more, growing linearly as the distance falls to zero.
+    clearance_m, clearance_cost_m: optional: a step that leaves less than clearance_m between the
+        circle around the body's width and an obstacle costs up to clearance_cost_m more, growing
+        linearly as that distance falls to zero.
     foot_margin_m, body_margin_m: by how much each box grows on all sides for the collision check.
     foot_gap_m: least distance between the boxes of two consecutive feet.
     cell_m, headings: the search lattice.

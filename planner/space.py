@@ -39,8 +39,8 @@ class Space(NamedTuple):
     the swing foot. D_HALF: the cells' difference for the midpoint of the feet on the grid of half
     cells. HALF_HEADING: mean heading in half bins.
     cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
-    pair pose in the grid frame. origin: col, row of the goal's cell. boxes: half lengths and half
-    widths of foot and body, margins included.
+    pair pose in the grid frame. origin: col, row of the goal's cell. foot, body: half lengths and
+    half widths, margins included. clearance: see `_clearance`.
     """
 
     terrain: Terrain
@@ -55,7 +55,7 @@ class Space(NamedTuple):
     half_stance_m: float
     foot: tuple[float, float]
     body: tuple[float, float]
-    clearance: tuple[float, float]
+    clearance: tuple[float, float, float]
     cos: Floats
     sin: Floats
     node_state: NDArray[np.uint8]
@@ -115,13 +115,24 @@ def build_space(
         half_stance_m=model.stance_width_m / 2,
         foot=_half_box(model.foot.length_m, model.foot.width_m, model.foot_margin_m),
         body=_half_box(model.body.length_m, model.body.width_m, model.body_margin_m),
-        clearance=(model.clearance_m, model.clearance_cost_m * MICRO),
+        clearance=_clearance(model),
         cos=np.cos(half_bins),
         sin=np.sin(half_bins),
         node_state=np.zeros(cols * rows * model.headings * 2, np.uint8),
         half_clear_m=np.zeros(4 * cols * rows, np.float32),
         pair_key=np.full(_PAIR_SLOTS, -1, np.int64),
     )
+
+
+def _clearance(model: StepModel) -> tuple[float, float, float]:
+    """Clearance of the pair pose that costs nothing, that costs most, and the most in micrometres.
+
+    As far as the body's half width nothing is gained.
+    """
+    if model.clearance_m == 0 or model.clearance_cost_m == 0:
+        return 0.0, -1.0, 0.0
+    half_width_m = model.body.width_m / 2
+    return half_width_m + model.clearance_m, half_width_m, model.clearance_cost_m * MICRO
 
 
 def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, float]:
@@ -205,7 +216,7 @@ def pair_free(space: Space, half: int, half_heading: int) -> bool:
 @njit(cache=True)
 def clearance_cost(space: Space, clearance_m: float) -> int:
     """Extra cost in micrometres of a step whose pair pose has this clearance."""
-    wanted_m, cost_um = space.clearance
+    wanted_m, worst_m, cost_um = space.clearance
     if clearance_m >= wanted_m:
         return 0
-    return int(cost_um * (1.0 - clearance_m / wanted_m))
+    return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))
