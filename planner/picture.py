@@ -84,10 +84,7 @@ class Canvas:
             else:
                 lines[height - 1 - px, :] = True
         self.image[lines & floor] = _GRID
-        label = f"grid {every_m:g} m"
-        cv2.putText(
-            self.image, label, (8, height - 8), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA
-        )
+        self._text(f"grid {every_m:g} m", (8, height - 8), 0.42, _INK)
 
     def pixels(self, xy_world: ArrayLike) -> NDArray[np.int32]:
         """Pixels (..., 2) of points (..., 2), with _SUB bits of fraction."""
@@ -157,17 +154,13 @@ class Canvas:
         (text_w, text_h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
         x = int(np.clip(at_px[0] - text_w // 2, 2, max(2, width - text_w - 2)))
         y = int(np.clip(at_px[1] + text_h // 2, text_h + 2, height - 4))
+        self._text(text, (x, y), 0.55, colour)
+
+    def _text(self, text: str, at_px: tuple[int, int], size: float, colour: Colour) -> None:
+        """Text with a white edge, so that it can be read on walls as well."""
+        font = cv2.FONT_HERSHEY_SIMPLEX
         for colour_now, thickness in (((255, 255, 255), 4), (colour, 1)):
-            cv2.putText(
-                self.image,
-                text,
-                (x, y),
-                cv2.FONT_HERSHEY_SIMPLEX,
-                0.55,
-                colour_now,
-                thickness,
-                cv2.LINE_AA,
-            )
+            cv2.putText(self.image, text, at_px, font, size, colour_now, thickness, cv2.LINE_AA)
 
 
 def _placed(points: FloatArray, x_m: float, y_m: float, yaw_rad: float) -> FloatArray:

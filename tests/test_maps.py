@@ -1,0 +1,153 @@
+"""The grid's frames, obstacle rectangles, the distance field and the project's own maps."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from maps.distance import distance_field
+from maps.grid import Cell, OccupancyGrid
+from maps.make_maps import OFFICE, ROOM, draw
+from maps.obstacles import merge_rectangles, obstacle_boxes
+from maps.reader import load_map
+
+MAPS = Path(__file__).parents[1] / "maps"
+
+
+def test_a_turned_grid_puts_a_cell_where_a_hand_drawing_does():
+    # Origin 2, 3 turned by a quarter: the grid's x runs along the world's y.
+    grid = OccupancyGrid(
+        cells=np.zeros((4, 6), np.uint8), resolution_m=0.5, origin=(2.0, 3.0, math.pi / 2)
+    )
+    np.testing.assert_allclose(grid.cell_to_world((0, 0)), (1.75, 3.25))
+    np.testing.assert_allclose(grid.cell_to_world((1, 3)), (1.25, 4.75))
+    assert grid.world_to_cell((1.2, 4.8)).tolist() == [1, 3]
+    np.testing.assert_allclose(grid.bounds_world(), (0.0, 3.0, 2.0, 6.0))
+    assert grid.contains([[1.0, 5.9], [2.1, 4.0]]).tolist() == [True, False]
+
+
+def test_cells_and_world_are_inverse_on_a_slanted_grid():
+    grid = OccupancyGrid(
+        cells=np.zeros((7, 5), np.uint8), resolution_m=0.1, origin=(-3.0, 1.5, 0.7)
+    )
+    cells = np.moveaxis(np.indices((7, 5)), 0, -1)
+    np.testing.assert_array_equal(grid.world_to_cell(grid.cell_to_world(cells)), cells)
+    points = np.random.default_rng(0).uniform(-5, 5, (50, 2))
+    np.testing.assert_allclose(grid.grid_to_world(grid.world_to_grid(points)), points)
+
+
+def test_unknown_blocks_unless_told_otherwise():
+    grid = OccupancyGrid(
+        cells=np.array([[Cell.FREE, Cell.OCCUPIED, Cell.UNKNOWN]], np.uint8), resolution_m=1.0
+    )
+    assert grid.blocked().tolist() == [[False, True, True]]
+    assert grid.blocked(unknown_is_free=True).tolist() == [[False, True, False]]
+
+
+def test_a_grid_keeps_its_own_cells():
+    cells = np.zeros((2, 2), np.uint8)
+    grid = OccupancyGrid(cells=cells, resolution_m=1.0)
+    cells[0, 0] = Cell.OCCUPIED
+    assert not grid.blocked().any()
+    with pytest.raises(ValueError, match="read-only"):
+        grid.cells[0, 0] = 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"resolution_m": 0.0}, "resolution_m 0.0"),
+        ({"resolution_m": math.nan}, "resolution_m nan"),
+        ({"cells": np.zeros((0, 3), np.uint8)}, r"cells \(0, 3\)"),
+        ({"cells": np.full((2, 2), 3, np.uint8)}, "cell value 3"),
+        ({"origin": (0.0, math.inf, 0.0)}, "origin"),
+    ],
+)
+def test_a_grid_that_makes_no_sense_is_refused(change, message):
+    fields = {"cells": np.zeros((2, 2), np.uint8), "resolution_m": 1.0, **change}
+    with pytest.raises(ValueError, match=message):
+        OccupancyGrid(**fields)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rectangles_tile_the_blocked_cells_exactly(seed):
+    rng = np.random.default_rng(seed)
+    blocked = cv2.resize(rng.random((9, 12)), (40, 31), interpolation=cv2.INTER_NEAREST) < 0.5
+    blocked ^= rng.random(blocked.shape) < 0.03
+    count = np.zeros(blocked.shape, int)
+    rectangles = merge_rectangles(blocked)
+    for row0, col0, row1, col1 in rectangles:
+        assert row1 > row0
+        assert col1 > col0
+        count[row0:row1, col0:col1] += 1
+    np.testing.assert_array_equal(count, blocked.astype(int))
+    assert 0 < len(rectangles) < blocked.sum() / 2
+
+
+def test_a_cross_becomes_three_boxes_and_nothing_becomes_none():
+    cross = np.zeros((5, 7), bool)
+    cross[2, :] = True
+    cross[:, 3] = True
+    assert len(merge_rectangles(cross)) == 3
+    assert merge_rectangles(np.zeros((3, 3), bool)).shape == (0, 4)
+
+
+def test_a_box_of_cells_has_its_place_in_metres():
+    blocked = np.zeros((4, 10), bool)
+    blocked[1:3, 4:9] = True
+    np.testing.assert_allclose(obstacle_boxes(blocked, 0.2), [[1.3, 0.4, 0.5, 0.2]])
+
+
+def test_distances_never_exceed_the_true_ones_and_are_tight():
+    rng = np.random.default_rng(3)
+    blocked = rng.random((23, 31)) < 0.02
+    size = 0.1
+    field = distance_field(blocked, size)
+    wall = np.ones((25, 33), bool)
+    wall[1:-1, 1:-1] = blocked
+    rows, cols = np.nonzero(wall)
+    compared = 0
+    for row, col in np.ndindex(blocked.shape):
+        # To the nearest point of each blocked square, the rim of outside cells included.
+        dx = np.maximum(np.abs(cols - 1 - col) - 0.5, 0.0)
+        dy = np.maximum(np.abs(rows - 1 - row) - 0.5, 0.0)
+        true_m = 0.0 if blocked[row, col] else size * np.hypot(dx, dy).min()
+        assert field[row, col] <= true_m + 1e-6
+        assert field[row, col] >= true_m - 0.25 * size
+        compared += 1
+    assert compared == 23 * 31
+
+
+@pytest.mark.parametrize("plan", [ROOM, OFFICE], ids=["room", "office"])
+def test_the_committed_maps_are_the_drawn_ones(plan):
+    image = cv2.imread(str(MAPS / f"{plan.name}.png"), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(image, draw(plan))
+    grid = load_map(MAPS / f"{plan.name}.png")
+    assert grid.resolution_m == plan.resolution_m
+    x0, y0, x1, y1 = plan.bounds
+    np.testing.assert_allclose(grid.bounds_world(), (x0, y0, x1, y1))
+
+
+def test_the_room_blocks_the_straight_way_but_neither_end():
+    grid = load_map(MAPS / "room.yaml")
+    line = np.linspace((0.0, 0.0), (2.0, 1.0), 200)
+    row, col = grid.world_to_cell(line).T
+    assert grid.blocked()[row, col].any()
+    clear_m = distance_field(grid.blocked(), grid.resolution_m)
+    for end in ((0.0, 0.0), (2.0, 1.0)):
+        row, col = grid.world_to_cell(end)
+        assert clear_m[row, col] > 0.7
+
+
+def test_the_room_has_a_passage_of_nine_tenths_of_a_metre():
+    grid = load_map(MAPS / "room.yaml")
+    # Between the bookcases, along the line x = 1.
+    y = np.arange(-2.4, 3.4, 0.025) + 0.0125
+    row, col = grid.world_to_cell(np.column_stack([np.full(len(y), 1.0125), y])).T
+    free = ~grid.blocked()[row, col]
+    upper = y[free & (y > 1.5)]
+    assert upper.max() - upper.min() + 0.025 == pytest.approx(0.9)
