@@ -102,7 +102,7 @@ def to_json(document: Mapping[str, Any]) -> str:
 
 
 def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
-    """Writes a picture (H, W, 3), red green blue, in the format that the name ends in.
+    """Writes a picture (H, W, 3), blue green red, in the format that the name ends in.
 
     Raises:
         InputError: The file cannot be written.
@@ -112,8 +112,7 @@ def write_picture(path: Path, picture: NDArray[np.uint8]) -> None:
 
     with replacing(path) as temporary:
         try:
-            # OpenCV's order is blue, green, red.
-            written = cv2.imwrite(str(temporary), picture[:, :, ::-1])
+            written = cv2.imwrite(str(temporary), picture)
         except cv2.error:
             written = False
         if not written:

@@ -7,19 +7,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from app.map_canvas import Colour, MapCanvas, Picture, Swatch
+from app.legend import Picture, Swatch, with_legend
 from app.output import write_picture
 from maps.grid import OccupancyGrid
 from planner.model import FootShape, Side, StepModel
+from planner.picture import GOAL, LEFT, PATH, RIGHT, START, Canvas, Colour, draw_plan
 from planner.plan import FootstepPlan
 
 FloatArray = NDArray[np.float64]
 
-FOOT_COLOURS: dict[Side, Colour] = {Side.LEFT: (38, 110, 200), Side.RIGHT: (214, 72, 52)}
-BODY: Colour = (112, 60, 150)
-START: Colour = (120, 126, 134)
-GOAL: Colour = (22, 140, 84)
-POSE_ARROW_M = 0.32
+# Blue, green, red.
+BODY: Colour = (150, 60, 112)
+PLANNED: Colour = (50, 50, 50)
+LARGE_MAP_M = 12.0
 
 
 def write_path_picture(
@@ -40,43 +40,58 @@ def write_path_picture(
     Raises:
         InputError: The file cannot be written.
     """
-    picture = path_picture(
-        grid,
-        model,
-        plan,
-        placed_side=placed_side,
-        placed_world=placed_world,
-        body_xy_world=body_xy_world,
-    )
+    if placed_side is None or placed_world is None or body_xy_world is None:
+        picture = plan_picture(grid, model, plan)
+    else:
+        picture = walk_picture(
+            grid,
+            model,
+            plan,
+            placed_side=placed_side,
+            placed_world=placed_world,
+            body_xy_world=body_xy_world,
+        )
     write_picture(path, picture)
 
 
-def path_picture(
+def plan_picture(grid: OccupancyGrid, model: StepModel, plan: FootstepPlan) -> Picture:
+    """The plan alone, (H, W, 3)."""
+    legend = [
+        Swatch(colour=LEFT, text="left foot"),
+        Swatch(colour=RIGHT, text="right foot"),
+        Swatch(colour=PATH, text="midway between the feet"),
+    ]
+    return with_legend(draw_plan(plan, grid, model), _title(plan), legend)
+
+
+def walk_picture(
     grid: OccupancyGrid,
     model: StepModel,
     plan: FootstepPlan,
     *,
-    placed_side: NDArray[np.integer] | None = None,
-    placed_world: FloatArray | None = None,
-    body_xy_world: FloatArray | None = None,
+    placed_side: NDArray[np.integer],
+    placed_world: FloatArray,
+    body_xy_world: FloatArray,
 ) -> Picture:
-    """The picture (H, W, 3) that `write_path_picture` writes."""
-    canvas = MapCanvas(grid)
-    walked = placed_world is not None
-    canvas.arrow(plan.start, POSE_ARROW_M, START, 2)
-    canvas.arrow(plan.goal, POSE_ARROW_M, GOAL, 3)
+    """The plan and what became of it, (H, W, 3); arrays as in `write_path_picture`."""
+    canvas = Canvas(grid, around_world=_surroundings(grid, plan, body_xy_world), margin_m=1.5)
     for side in Side:
-        stands = plan.start_feet_world[side : side + 1]
-        canvas.outline(foot_boxes(stands, model.foot), START, 2)
-        planned = foot_boxes(plan.pose_world[plan.side == side], model.foot)
-        canvas.fill(planned, FOOT_COLOURS[side], alpha=0.0 if walked else 0.35)
-        canvas.outline(planned, FOOT_COLOURS[side], 1 if walked else 2)
-        if placed_world is not None and placed_side is not None:
-            placed = foot_boxes(placed_world[placed_side == side], model.foot)
-            canvas.fill(placed, FOOT_COLOURS[side], alpha=0.45)
-    if body_xy_world is not None and len(body_xy_world) > 1:
-        canvas.line(body_xy_world, BODY, 2)
-    return canvas.finished(_title(plan), _legend(walked, body_xy_world is not None))
+        canvas.foot(plan.start_feet_world[side], side, model, 0.12)
+    for placed, pose_world in zip(placed_side, placed_world, strict=True):
+        canvas.foot(pose_world, Side(int(placed)), model, 0.45)
+    for box in foot_boxes(plan.pose_world, model.foot):
+        canvas.polygon(box, PLANNED, width_m=0.008)
+    if len(body_xy_world) > 1:
+        canvas.line(body_xy_world, BODY, 0.02)
+    canvas.arrow(plan.start, START, "start")
+    canvas.arrow(plan.goal, GOAL, "goal")
+    legend = [
+        Swatch(colour=LEFT, text="left foot as placed"),
+        Swatch(colour=RIGHT, text="right foot as placed"),
+        Swatch(colour=PLANNED, text="feet as planned", filled=False),
+        Swatch(colour=BODY, text="body"),
+    ]
+    return with_legend(canvas.image, _title(plan), legend)
 
 
 def foot_boxes(poses_world: FloatArray, foot: FootShape) -> list[FloatArray]:
@@ -90,20 +105,16 @@ def foot_boxes(poses_world: FloatArray, foot: FootShape) -> list[FloatArray]:
     return boxes
 
 
+def _surroundings(
+    grid: OccupancyGrid, plan: FootstepPlan, body_xy_world: FloatArray
+) -> FloatArray | None:
+    """Points (n, 2) on the map that the picture of a large map is cut to; None shows it whole."""
+    points = np.vstack([plan.pose_world[:, :2], body_xy_world, [plan.start[:2], plan.goal[:2]]])
+    points = points[grid.contains(points)]
+    return points if max(grid.size_m) > LARGE_MAP_M and len(points) else None
+
+
 def _title(plan: FootstepPlan) -> str:
     if not plan.found:
         return f"no plan: {plan.status}: {plan.reason}"
     return f"{plan.robot} on {plan.map}: {len(plan)} steps planned, cost {plan.cost_m:.2f} m"
-
-
-def _legend(walked: bool, has_body: bool) -> list[Swatch]:
-    left, right = FOOT_COLOURS[Side.LEFT], FOOT_COLOURS[Side.RIGHT]
-    legend = [Swatch(colour=left, text="left foot"), Swatch(colour=right, text="right foot")]
-    if walked:
-        legend.append(Swatch(colour=left, text="planned: outline", filled=False))
-        legend.append(Swatch(colour=left, text="placed: filled"))
-    if has_body:
-        legend.append(Swatch(colour=BODY, text="body"))
-    legend.append(Swatch(colour=START, text="start", filled=False))
-    legend.append(Swatch(colour=GOAL, text="goal", filled=False))
-    return legend

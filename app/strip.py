@@ -48,7 +48,7 @@ def write_strip(
             _labelled(drawer.draw(int(moment)), f"{time_s:.2f} s")
             for moment, time_s in zip(recording.nearest(times_s), times_s, strict=True)
         ]
-    write_picture(path, tile(tiles, columns or frames))
+    write_picture(path, tile(tiles, columns or frames)[:, :, ::-1])
 
 
 def tile(pictures: list[Picture], columns: int) -> Picture:

@@ -1,4 +1,4 @@
-"""The picture of a plan: what is drawn stands where it belongs, whatever the map's frame."""
+"""The picture of a walk: what is drawn stands where it belongs, whatever the map's frame."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 
 from app.errors import InputError
-from app.map_canvas import FREE, OCCUPIED, UNKNOWN, MapCanvas, Swatch
+from app.legend import Swatch, with_legend
 from app.output import write_picture
-from app.path_picture import BODY, FOOT_COLOURS, GOAL, foot_boxes, path_picture, write_path_picture
+from app.path_picture import BODY, PLANNED, foot_boxes, walk_picture, write_path_picture
 from maps.grid import Cell, OccupancyGrid
-from planner.model import FootShape, Side
+from planner.model import FootShape
+from planner.picture import LEFT, RIGHT, Canvas
 from planner.plan import FootstepPlan, PlanStatus, feet_at
 from sim.robots import get_robot
 
 MODEL = get_robot("jvrc1").step_model
+NOBODY = np.zeros((0, 2))
 
 
-def grid_of(origin: tuple[float, float, float] = (-2.0, -1.0, 0.0)) -> OccupancyGrid:
-    """A free map of 4 x 2 m with its lower-left quarter occupied, its upper right unknown."""
+def free_map(origin: tuple[float, float, float] = (-2.0, -1.0, 0.0)) -> OccupancyGrid:
+    """A free map of 4 x 2 m."""
     cells = np.full((20, 40), Cell.FREE, np.uint8)
-    cells[:10, :20] = Cell.OCCUPIED
-    cells[10:, 20:] = Cell.UNKNOWN
     return OccupancyGrid(cells=cells, resolution_m=0.1, origin=origin)
 
 
@@ -33,7 +33,7 @@ def plan_of(*poses: tuple[float, float, float, float]) -> FootstepPlan:
     return FootstepPlan(
         start_feet_world=feet_at((-1.5, 0.5, 0), MODEL.stance_width_m),
         start=(-1.5, 0.5, 0),
-        goal=(1.5, -0.5, 0),
+        goal=(1.5, 0.5, 0),
         side=np.array([(number + 1) % 2 for number in range(len(poses))], np.int8),
         pose_world=np.array(poses).reshape(-1, 4),
         robot="jvrc1",
@@ -41,54 +41,51 @@ def plan_of(*poses: tuple[float, float, float, float]) -> FootstepPlan:
     )
 
 
-def pixel(picture: np.ndarray, grid: OccupancyGrid, x_m: float, y_m: float) -> np.ndarray:
-    """The pixel that shows a point of the world; the long side of the map has 1280."""
-    across_m, up_m = grid.world_to_grid((x_m, y_m))
-    px_per_m = 1280 / grid.size_m[0]
-    return picture[int(grid.size_m[1] * px_per_m - up_m * px_per_m), int(across_m * px_per_m)]
+def colour_at(picture: np.ndarray, grid: OccupancyGrid, x_m: float, y_m: float) -> np.ndarray:
+    """Blue, green, red where the picture shows a point of the world."""
+    column, row = Canvas(grid).pixels((x_m, y_m)) // 16
+    return picture[row, column].astype(int)
+
+
+def is_like(shown: np.ndarray, colour: tuple[int, int, int]) -> bool:
+    """Whether the shown colour is the colour mixed with a light floor."""
+    return np.ptp(shown) > 30 and bool((np.argsort(shown) == np.argsort(colour)).all())
 
 
 @pytest.mark.parametrize("origin", [(-2.0, -1.0, 0.0), (5.0, -3.0, 0.7), (0.0, 0.0, math.pi)])
-def test_cells_are_where_the_map_says(origin):
-    grid = grid_of(origin)
-    picture = MapCanvas(grid).finished("", [])
-    for across_m, up_m, colour in ((1, 0.5, OCCUPIED), (3, 0.5, FREE), (3, 1.5, UNKNOWN)):
-        x_m, y_m = grid.grid_to_world((across_m, up_m))
-        assert tuple(pixel(picture, grid, x_m, y_m)) == colour
-
-
-def test_placed_feet_are_filled_and_planned_ones_are_outlines():
-    grid = grid_of()
-    plan = plan_of((0.5, -0.3, 0, 0.0), (0.9, -0.3, 0, 0.0))
-    placed_world = np.array([[0.5, -0.7, 0, 0.0], [0.9, -0.7, 0, 0.0]])
-    alone = path_picture(grid, MODEL, plan)
-    walked = path_picture(grid, MODEL, plan, placed_side=plan.side, placed_world=placed_world)
-    for x_m, side in ((0.5, Side.RIGHT), (0.9, Side.LEFT)):
-        colour = np.array(FOOT_COLOURS[side])
-        strongest = colour.argmax()
-        for picture, y_m, filled in (
-            *((alone, -0.3, True), (alone, -0.7, False)),
-            *((walked, -0.3, False), (walked, -0.7, True)),
-        ):
-            shown = pixel(picture, grid, x_m, y_m)
-            assert (tuple(shown) != FREE) is filled
-            assert not filled or shown.argmax() == strongest
-        # The border of the planned foot: its front edge is half a foot ahead.
-        assert tuple(pixel(walked, grid, x_m + MODEL.foot.length_m / 2, -0.3)) != FREE
+def test_feet_are_drawn_where_they_came_down(origin):
+    grid = free_map(origin)
+    # In the grid's own frame: planned on one line, placed on another below it.
+    planned, placed = (
+        np.column_stack([grid.grid_to_world([(2.5, y_m), (2.9, y_m)]), [[0, origin[2]]] * 2])
+        for y_m in (0.7, 0.3)
+    )
+    plan = plan_of(*planned)
+    picture = walk_picture(
+        grid, MODEL, plan, placed_side=plan.side, placed_world=placed, body_xy_world=NOBODY
+    )
+    for number, colour in enumerate((RIGHT, LEFT)):
+        assert is_like(colour_at(picture, grid, *placed[number, :2]), colour)
+        # A planned foot is an outline: paper in the middle, dark at its front edge.
+        assert colour_at(picture, grid, *planned[number, :2]).min() > 200
+        (box,) = foot_boxes(planned[number : number + 1], MODEL.foot)
+        assert colour_at(picture, grid, *(box[0] + box[3]) / 2).max() < 120
 
 
 def test_the_path_of_the_body_is_drawn():
-    grid = grid_of()
+    grid = free_map()
+    plan = plan_of()
     body_xy_world = np.array([[0.2, -0.8], [1.8, -0.8]])
-    picture = path_picture(grid, MODEL, plan_of(), body_xy_world=body_xy_world)
-    assert tuple(pixel(picture, grid, 1.0, -0.8)) == BODY
-
-
-def test_the_goal_points_along_its_heading():
-    grid = grid_of()
-    picture = path_picture(grid, MODEL, plan_of())
-    assert tuple(pixel(picture, grid, 1.5 + 0.25, -0.5)) == GOAL
-    assert tuple(pixel(picture, grid, 1.5 - 0.25, -0.5)) == FREE
+    picture = walk_picture(
+        grid,
+        MODEL,
+        plan,
+        placed_side=plan.side,
+        placed_world=plan.pose_world,
+        body_xy_world=body_xy_world,
+    )
+    assert tuple(colour_at(picture, grid, 1.2, -0.8)) == BODY
+    assert tuple(colour_at(picture, grid, 0.1, -0.8)) != BODY
 
 
 def test_corners_of_a_turned_foot():
@@ -98,37 +95,62 @@ def test_corners_of_a_turned_foot():
     assert {(round(x, 9), round(y, 9)) for x, y in corners} == expected
 
 
-def test_a_goal_far_off_the_map_does_no_harm():
+def test_a_large_map_is_cut_to_the_surroundings_of_the_walk():
+    cells = np.zeros((400, 2000), np.uint8)
+    grid = OccupancyGrid(cells=cells, resolution_m=0.05, origin=(-50.0, -10.0, 0.0))
+    plan = plan_of()
+    picture = walk_picture(
+        grid,
+        MODEL,
+        plan,
+        placed_side=plan.side,
+        placed_world=plan.pose_world,
+        body_xy_world=np.array([[-1.5, 0.5], [0.0, 1.5], [1.5, 0.5]]),
+    )
+    # 3 m of walk with 1.5 m on either side, at 240 pixels per metre.
+    assert picture.shape[1] == 6 * 240
+    assert 4 * 240 < picture.shape[0] < 4 * 240 + 100
+
+
+@pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")
+@pytest.mark.parametrize("far_m", [50.0, 1e12, 1e300])
+def test_a_goal_off_the_map_does_no_harm(tmp_path, far_m):
     plan = FootstepPlan(
         start_feet_world=feet_at((0, 0, 0), 0.2),
         start=(0, 0, 0),
-        goal=(1e12, -1e300, 0),
+        goal=(far_m, -far_m, 0),
         status=PlanStatus.OFF_MAP,
-        reason="goal 1e+12,-1e+300 is off the map " * 9,
+        reason=f"goal {far_m:g},{-far_m:g} is off the map " * 9,
     )
-    with np.errstate(over="ignore"):
-        picture = path_picture(grid_of(), MODEL, plan)
-    assert picture.shape[1] == 1280
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (3, 5000), (4000, 30)])
-def test_no_map_is_too_small_or_too_large(shape):
-    grid = OccupancyGrid(cells=np.zeros(shape, np.uint8), resolution_m=0.05)
-    swatches = [Swatch(colour=GOAL, text="an entry of the legend")] * 7
-    height, width = MapCanvas(grid).finished("title", swatches).shape[:2]
-    assert 640 <= width <= 3000
-    assert 50 <= height <= 3200
-
-
-def test_it_is_written_as_a_png(tmp_path):
-    write_path_picture(tmp_path / "path.png", grid_of(), MODEL, plan_of())
+    write_path_picture(tmp_path / "path.png", free_map(), MODEL, plan)
     picture = cv2.imread(str(tmp_path / "path.png"))
     assert picture is not None
-    # OpenCV reads blue, green, red.
-    assert tuple(pixel(picture, grid_of(), -1, -0.5))[::-1] == OCCUPIED
+    assert picture.shape[1] == 960
+
+
+def test_the_legend_breaks_into_rows_and_widens_narrow_pictures():
+    swatches = [Swatch(colour=PLANNED, text="an entry of the legend")] * 7
+    picture = np.zeros((10, 20, 3), np.uint8)
+    whole = with_legend(picture, "title " * 30, swatches)
+    assert whole.shape[1] == 640
+    np.testing.assert_array_equal(whole[:10, :20], 0)
+    assert (whole[:10, 20:] == 255).all()
+    # Three lines of title, and four rows: of entries of 248 pixels, two fit into one.
+    assert whole.shape[0] == 10 + (3 + 4) * 26 + 12
+
+
+def test_a_strip_of_text_for_no_title_at_all():
+    assert with_legend(np.zeros((10, 700, 3), np.uint8), "", []).shape == (10 + 26 + 12, 700, 3)
 
 
 def test_an_ending_that_is_no_image_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"must end in \.png"):
         write_picture(tmp_path / "path.txt", np.zeros((2, 2, 3), np.uint8))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_pictures_are_written_blue_green_red(tmp_path):
+    write_picture(tmp_path / "a.png", np.full((2, 2, 3), (1, 2, 3), np.uint8))
+    picture = cv2.imread(str(tmp_path / "a.png"))
+    assert picture is not None
+    assert tuple(picture[0, 0]) == (1, 2, 3)
