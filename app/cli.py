@@ -45,8 +45,7 @@ def overview() -> str:
     lines = [f"usage: {PROGRAM} COMMAND [OPTIONS]", ""]
     lines += ["A humanoid robot that walks to where it is told, on a map.", "", "commands:"]
     lines += [f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()]
-    first = next(iter(COMMANDS.values()))
-    lines += ["", f"example: {PROGRAM} {first.example}"]
+    lines += ["", f"example: {PROGRAM} {COMMANDS['navigate'].example}"]
     lines += [f"options of a command: {PROGRAM} COMMAND --help"]
     return "\n".join(lines)
 
