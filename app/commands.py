@@ -44,6 +44,12 @@ def _load(place: str) -> Any:
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
+        "evaluate": Command(
+            summary="measure falls and foot errors of a policy, mode by mode",
+            options="app.evaluate_options:EvaluateOptions",
+            run="app.evaluate:run",
+            example="evaluate --robot jvrc1 --out runs/evaluate",
+        ),
         "navigate": Command(
             summary="plan, walk the plan in MuJoCo with the trained policy, report",
             options="app.navigate_options:NavigateOptions",
@@ -62,6 +68,12 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             options="app.train_options:TrainOptions",
             run="app.train:run",
             example="train --robot jvrc1 --out runs/train",
+        ),
+        "trials": Command(
+            summary="walk many random pairs of start and goal on a map",
+            options="app.trials_options:TrialsOptions",
+            run="app.trials:run",
+            example="trials --map maps/room.png --count 100",
         ),
     }
 )

@@ -47,8 +47,8 @@ def run(options: NavigateOptions) -> int:
         navigator.plan(),
         robot=robot.name,
         map=str(options.map),
-        start=tuple(options.start),
-        goal=tuple(options.goal),
+        start=options.start,
+        goal=options.goal,
     )
     walk(navigator, plan)
     report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
@@ -94,8 +94,8 @@ def report_of(
         wall_time_s=wall_time_s,
         robot=plan.robot,
         map=plan.map,
-        start=tuple(options.start),
-        goal=tuple(options.goal),
+        start=options.start,
+        goal=options.goal,
         seed=options.seed,
         policy=PolicyFile.of(policy_path),
         versions=installed_versions(),

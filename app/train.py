@@ -40,14 +40,9 @@ def run(options: TrainOptions) -> int:
             trainer.resume()
         say(f"going on after segment {trainer.segment} of {config.segments}")
     write_text(options.out / "config.json", json.dumps(asdict(config), indent=1) + "\n")
-    with ProgressBar("training, samples", config.segments * config.samples_per_segment) as bar:
-
-        def show(report: Report) -> None:
-            line = progress_line(report)
-            bar.update(report.samples, line)
-            say(line)
-
-        trainer.run(show)
+    total = config.segments * config.samples_per_segment
+    with ProgressBar("training", total, line_every_s=0.0) as bar:
+        trainer.run(lambda report: bar.update(report.samples, progress_line(report)))
     say(f"the best policy is {options.out / robot.name}.safetensors")
     return ExitCode.DONE
 
@@ -56,7 +51,7 @@ def progress_line(report: Report) -> str:
     """One line on a finished segment."""
     result = report.result.summary
     return (
-        f"{report.samples / 1e6:6.2f} M samples, {report.samples_per_s:6.0f} /s, "
+        f"{report.samples_per_s:.0f} samples/s, "
         f"{report.seconds_left / 60:3.0f} min left | reward {report.reward:.3f} | "
         f"held out: {result['falls']} of {result['episodes']} fell, feet "
         f"{100 * float(result['error_m_median']):.1f} cm median, "

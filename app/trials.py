@@ -23,8 +23,10 @@ from app.report import Outcome, installed_versions
 from app.trials_options import TrialsOptions
 from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
-from planner.api import Planner
+from planner.collision import terrain_of
+from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
+from planner.plan import feet_at
 from sim.clearance import min_clearance_m
 from sim.robots import get_robot
 
@@ -71,7 +73,7 @@ def run(options: TrialsOptions) -> int:
         for result in walk_all(course, trials, options.workers or os.cpu_count() or 1):
             results.append(result)
             bar.update(len(results), f"{sum(r['outcome'] == 'reached' for r in results)} reached")
-    document = {
+    document: dict[str, Any] = {
         "format": FORMAT,
         "map": str(options.map),
         "robot": robot.name,
@@ -92,14 +94,16 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
         InputError: The robot can hardly stand anywhere on this map, or not so far apart.
     """
     rng = np.random.default_rng(seed)
-    planner = Planner(course.grid, get_robot(course.robot).step_model, _search(course))
+    model = get_robot(course.robot).step_model
+    terrain = terrain_of(course.grid, course.unknown_is_free)
     x0, y0, x1, y1 = course.grid.bounds_world()
 
     def free_pose() -> Pose:
         for _ in range(DRAWS_PER_POSE):
             x, y, yaw = rng.uniform((x0, y0, -math.pi), (x1, y1, math.pi))
             pose = round(x, 3), round(y, 3), round(yaw, 3)
-            if not planner.blocked_at(pose):
+            feet = feet_at(pose, model.stance_width_m)
+            if not what_blocks(course.grid, terrain, model, feet):
                 return pose
         raise InputError("the robot can hardly stand anywhere on this map: there is no free pose")
 

@@ -28,7 +28,7 @@ class TrialsOptions(MapOptions):
     """Which robot, such as jvrc1."""
 
     policy: OptionalFile = None
-    """The policy that walks; none for the one that comes with the robot."""
+    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 
     seed: Annotated[int, whole_number(at_least=0)] = 0
     """Seed of the pairs and of the walks, such as 7."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +21,19 @@ class ModeResult:
     falls: int
     landing_error_m: np.ndarray
     landing_heading_error_rad: np.ndarray
+
+    @classmethod
+    def joined(cls, parts: Sequence[ModeResult]) -> ModeResult:
+        """Several results of one mode as one."""
+        return cls(
+            mode=parts[0].mode,
+            episodes=sum(part.episodes for part in parts),
+            falls=sum(part.falls for part in parts),
+            landing_error_m=np.concatenate([part.landing_error_m for part in parts]),
+            landing_heading_error_rad=np.concatenate(
+                [part.landing_heading_error_rad for part in parts]
+            ),
+        )
 
     @property
     def summary(self) -> dict[str, float | int | str]:

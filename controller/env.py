@@ -10,6 +10,7 @@ import numpy as np
 from controller.observation import (
     critic_fields,
     normaliser,
+    pelvis_yaw_rad,
     policy_fields,
     to_heading_frame,
     wrap_angle_rad,
@@ -195,6 +196,8 @@ class WalkTask:
             target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
             root_distance_m=np.linalg.norm(pelvis[:, :2] - window[..., :2].mean(axis=1), axis=1),
             swing_share=share,
+            tilt_rad=np.arccos(np.clip(1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2), -1, 1)),
+            heading_error_rad=wrap_angle_rad(pelvis_yaw_rad(qpos) - heading),
             tilt_cos=qpos[:, 3] * np.cos(heading / 2) + qpos[:, 6] * np.sin(heading / 2),
             height_error_m=pelvis[:, 2] - soles[..., 2].min(axis=1) - self.robot.pelvis_height_m,
             head_offset_m=np.linalg.norm(head_offset, axis=1),

@@ -29,6 +29,8 @@ class WalkState:
     target_distance_m: np.ndarray  # (B,) of the present step from the nearer foot
     root_distance_m: np.ndarray  # (B,) of the pelvis from midway between the two next steps
     swing_share: np.ndarray  # (B, 2) how the foot errors are weighed, sums to 1
+    tilt_rad: np.ndarray  # (B,) of the pelvis's z axis from the vertical
+    heading_error_rad: np.ndarray  # (B,) of the pelvis from the mean of the feet's targets
     tilt_cos: np.ndarray  # (B,) <q, q*> of the pelvis with the upright one of that heading
     height_error_m: np.ndarray  # (B,) pelvis above the lower sole, from its standing height
     head_offset_m: np.ndarray  # (B,) horizontal, of the head from the pelvis
@@ -76,6 +78,16 @@ def orientation(s: WalkState) -> np.ndarray:
     return np.exp(-10 * (1 - s.tilt_cos**2))
 
 
+def upright(s: WalkState) -> np.ndarray:
+    """Pelvis upright; sharper than the paper's, since a body that leans needs wider passages."""
+    return np.exp(-s.tilt_rad / 0.1)
+
+
+def facing(s: WalkState) -> np.ndarray:
+    """Pelvis heading where the feet do."""
+    return np.exp(-np.abs(s.heading_error_rad) / 0.2)
+
+
 def height(s: WalkState) -> np.ndarray:
     """Pelvis at its standing height."""
     return np.exp(-40 * s.height_error_m**2)
@@ -106,6 +118,8 @@ TERMS = {
         named_foot_heading,
         swing_clearance,
         orientation,
+        upright,
+        facing,
         height,
         upper_body,
         action_smoothness,
@@ -113,26 +127,28 @@ TERMS = {
     )
 }
 
-_POSTURE = {
+PAPER: Mapping[str, float] = {
+    "ground_force": 0.15,
+    "foot_speed": 0.15,
+    "any_foot_step": 0.45,
     "orientation": 0.05,
     "height": 0.05,
     "upper_body": 0.05,
     "action_smoothness": 0.05,
     "torque_smoothness": 0.05,
 }
-PAPER: Mapping[str, float] = {
-    "ground_force": 0.15,
-    "foot_speed": 0.15,
-    "any_foot_step": 0.45,
-    **_POSTURE,
-}
 PRECISE: Mapping[str, float] = {
     "ground_force": 0.15,
     "foot_speed": 0.10,
     "named_foot_step": 0.35,
-    "named_foot_heading": 0.10,
+    "named_foot_heading": 0.08,
     "swing_clearance": 0.05,
-    **_POSTURE,
+    "upright": 0.07,
+    "facing": 0.05,
+    "height": 0.05,
+    "upper_body": 0.03,
+    "action_smoothness": 0.04,
+    "torque_smoothness": 0.03,
 }
 PRESETS = {"paper": PAPER, "precise": PRECISE}
 
