@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from app.errors import ExitCode, as_bad_input
+from app.errors import as_bad_input
 from app.inputs import find_robot, read_grid
 from app.navigate_options import NavigateOptions
 from app.navigator import Navigator, NavigatorConfig, scene_of
-from app.output import make_folder, require_writable, write_text
+from app.output import PICTURE_ENDINGS, make_folder, require_writable, write_text
 from app.path_picture import write_path_picture
 from app.progress import ProgressBar, say
-from app.rendering import NoGlError, Recording, prepare_gl
+from app.rendering import FOLLOW, Recording
 from app.report import FootError, NavigationReport, Outcome, PolicyFile, installed_versions
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, PolicyError, load_policy
@@ -110,14 +110,13 @@ def clearance_m(navigator: Navigator) -> float | None:
 def _check_outputs(options: NavigateOptions) -> None:
     """Find out before the walk, not after it, that a file cannot be written or drawn."""
     make_folder(options.out, option="--out")
-    pictures = {
-        "--video": options.video,
-        "--strip": options.strip,
-        "--gait-strip": options.gait_strip,
-    }
-    for option, path in pictures.items():
+    for option, path, endings in (
+        ("--video", options.video, (".mp4",)),
+        ("--strip", options.strip, PICTURE_ENDINGS),
+        ("--gait-strip", options.gait_strip, PICTURE_ENDINGS),
+    ):
         if path is not None:
-            require_writable(path, option=option)
+            require_writable(path, option=option, endings=endings)
 
 
 def _write(
@@ -151,11 +150,16 @@ def _draw(
     if options.video is not None:
         write_film(options.video, scene.model, recording)
     if options.strip is not None:
-        write_strip(options.strip, scene.model, recording)
+        write_strip(
+            options.strip,
+            scene.model,
+            recording,
+            columns=4,
+            view=FOLLOW,
+            width=400,
+            height=360,
+        )
     if options.gait_strip is not None:
         middle_s = recording.time_s[-1] / 2
         end_s = middle_s + 2 * robot.gait.step_s
         write_strip(options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s)
-
-
-__all__ = ["ExitCode", "NoGlError", "prepare_gl", "run"]

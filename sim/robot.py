@@ -78,7 +78,8 @@ class Robot:
     `joints` holds the left leg's joints, then the right leg's in the same order. The pelvis
     height (m, above the sole) and pitch are those of the half-sitting posture with flat soles.
     An episode ends, and a walk counts as fallen, when the pelvis is less than
-    `fallen_height_m` above the lower foot.
+    `fallen_height_m` above the lower foot. `add_meshes` dresses a spec that `build` made, for
+    pictures; a robot without it is drawn by its collision shapes.
     """
 
     name: str
@@ -91,6 +92,7 @@ class Robot:
     pelvis_pitch_rad: float
     fallen_height_m: float
     build: Callable[[], mujoco.MjSpec]
+    add_meshes: Callable[[mujoco.MjSpec], None] | None = None
 
     @cached_property
     def half_sitting_rad(self) -> np.ndarray:

@@ -82,6 +82,8 @@ def build_scene(
     add_sensors(spec, robot)
     if visuals:
         _add_looks(spec)
+        if robot.add_meshes is not None:
+            robot.add_meshes(spec)
     model = spec.compile()
     joints = [model.joint(joint.name) for joint in robot.joints]
     joint_qpos = np.array([joint.qposadr[0] for joint in joints])
@@ -158,7 +160,9 @@ def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
 
 
 def _add_looks(spec: mujoco.MjSpec) -> None:
-    """Sky, light and floor pattern; collision shapes are shown only where there are no meshes."""
+    """Sky, light and floor pattern."""
+    # Set when the spec comes from a URDF; it would throw textures, materials and meshes away.
+    spec.compiler.discardvisual = False
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

@@ -187,6 +187,29 @@ def build() -> mujoco.MjSpec:
     return spec
 
 
+def add_meshes(spec: mujoco.MjSpec) -> None:
+    """Dresses the model in the meshes of the package, with joints darker than limbs."""
+    import jvrc_description
+
+    from sim.urdf_meshes import add_urdf_meshes
+
+    dark, blue = (0.25, 0.27, 0.31, 1.0), (0.16, 0.36, 0.62, 1.0)
+    joints = ("HIP_R", "SHOULDER_P", "ELBOW_P", "WRIST_Y")
+    add_urdf_meshes(
+        spec,
+        jvrc_description.urdf_path,
+        jvrc_description.meshes_path,
+        renamed={"L_HIP_P_S": "left_leg", "R_HIP_P_S": "right_leg"},
+        accents={
+            **{f"{side}_{name}_S": dark for side in "LR" for name in joints},
+            "WAIST_Y_S": dark,
+            "NECK_Y_S": dark,
+            "PELVIS_S": blue,
+            "WAIST_R_S": blue,
+        },
+    )
+
+
 ROBOT = Robot(
     name="jvrc1",
     title="JVRC-1",
@@ -199,8 +222,8 @@ ROBOT = Robot(
         turn_cost_m=0.05,
         side_cost_m=0.2,
         back_cost_m=0.2,
-        clearance_m=0.60,
-        clearance_cost_m=0.30,
+        clearance_m=0.25,
+        clearance_cost_m=0.25,
         foot_margin_m=0.03,
         body_margin_m=0.08,
     ),
@@ -211,4 +234,5 @@ ROBOT = Robot(
     pelvis_pitch_rad=math.radians(4.0),
     fallen_height_m=0.60,
     build=build,
+    add_meshes=add_meshes,
 )
