@@ -105,51 +105,54 @@ def build_step_table(model: StepModel) -> StepTable:
         cost_um=np.zeros(shape, np.int64),
     )
     for heading in range(model.headings):
-        for side in Side:
-            taken: set[tuple[int, int, int]] = set()
-            for k, step in enumerate(model.steps):
-                rounded = _round_step(np.array(step), heading, side, model)
-                if rounded is None or rounded[:3] in taken:
-                    continue
-                taken.add(rounded[:3])
-                index = heading, side, k
-                table.d_col[index], table.d_row[index], table.d_heading[index] = rounded[:3]
-                table.cost_um[index] = rounded[3]
-            if not taken:
-                raise ValueError(
-                    f"no step of the set fits cells of {model.cell_m} m within the step limits "
-                    f"at heading {heading} of {model.headings}: take a smaller cell_m"
-                )
+        taken: set[tuple[int, int, int]] = set()
+        for k, step in enumerate(model.steps):
+            rounded = _round_step(np.array(step), heading, model)
+            if rounded is None or rounded[:3] in taken:
+                continue
+            taken.add(rounded[:3])
+            # The right foot's steps are the left one's in a mirror, so no side is preferred.
+            for side, at, sign in ((Side.LEFT, heading, 1), (Side.RIGHT, -heading, -1)):
+                index = at % model.headings, int(side), k
+                table.d_col[index], table.cost_um[index] = rounded[0], rounded[3]
+                table.d_row[index], table.d_heading[index] = sign * rounded[1], sign * rounded[2]
+        if not taken:
+            raise ValueError(
+                f"no step of the set fits cells of {model.cell_m} m within the step limits "
+                f"at heading {heading} of {model.headings}: take a smaller cell_m"
+            )
     return table
 
 
 def _round_step(
-    step: FloatArray, heading: int, support: Side, model: StepModel
+    step: FloatArray, heading: int, model: StepModel
 ) -> tuple[int, int, int, int] | None:
-    """(d_col, d_row, d_heading, cost_um) of the allowed node nearest to a step, or None."""
+    """(d_col, d_row, d_heading, cost_um) of the allowed node nearest to a step of the right foot.
+
+    None if no node near it is allowed.
+    """
     bin_rad = 2 * np.pi / model.headings
     turn = _round_turn(step[2], bin_rad, model)
-    swing = support.other
     yaw_rad = heading * bin_rad
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    # From support to swing foot, less the constant shift between the sides' nodes.
-    shift_m = np.array([0.0, swing.outward * model.stance_width_m])
-    ahead = np.array([step[0], swing.outward * step[1]])
-    target_m = np.array([[cos, -sin], [sin, cos]]) @ ahead - shift_m
-    nodes = np.rint(target_m / model.cell_m).astype(np.int64) + _NEIGHBOURS
+    # From the left to the right foot's node, less the constant shift between the sides' nodes.
+    shift_m = np.array([0.0, -model.stance_width_m])
+    target_m = np.array([[cos, -sin], [sin, cos]]) @ (step[0], -step[1]) - shift_m
+    nodes = np.rint(np.round(target_m / model.cell_m, 6)).astype(np.int64) + _NEIGHBOURS
     moved_m = (nodes * model.cell_m + shift_m) @ np.array([[cos, -sin], [sin, cos]])
-    rounded = np.column_stack(
-        [moved_m[:, 0], swing.outward * moved_m[:, 1], np.full(len(nodes), turn * bin_rad)]
-    )
+    rounded = np.column_stack([moved_m[:, 0], -moved_m[:, 1], np.full(len(nodes), turn * bin_rad)])
     off_m = np.linalg.norm(nodes * model.cell_m - target_m, axis=1)
     off_m[~allowed(rounded, model)] = np.inf
     # Ties are decided by a fixed order, not by the last bit of a cosine.
     best = int(np.argmin(np.round(off_m, 9)))
     if not np.isfinite(off_m[best]):
         return None
-    cost_um = int(step_cost_um(rounded[best], model))
-    d_heading = swing.outward * turn
-    return int(nodes[best, 0]), int(nodes[best, 1]), d_heading, cost_um
+    return (
+        int(nodes[best, 0]),
+        int(nodes[best, 1]),
+        -turn,
+        int(step_cost_um(rounded[best], model)),
+    )
 
 
 def _round_turn(yaw_rad: float, bin_rad: float, model: StepModel) -> int:
