@@ -51,7 +51,7 @@ def run(options: EvaluateOptions) -> int:
             write_text(options.out / "evaluation.json", to_json(document))
             write_text(options.out / "report.md", report(document))
     draw_errors(options.out / "errors.png", results)
-    print(to_json(document) if options.json else report(document))
+    print(to_json(document) if options.json else report(document), end="")
     return ExitCode.DONE
 
 

@@ -53,7 +53,9 @@ def run(options: NavigateOptions) -> int:
     walk(navigator, plan)
     report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
     _write(options, navigator, plan, report)
-    print(report.to_json() if options.json else report.summary())
+    print(report.to_json() if options.json else report.summary() + "\n", end="")
+    if report.outcome is not Outcome.REACHED:
+        say(f"{report.outcome}: {report.reason}")
     if not options.json:
         say(f"written to {options.out}: report.json, plan.json, path.png")
     _draw(options, grid, robot, navigator)

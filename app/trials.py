@@ -83,7 +83,7 @@ def run(options: TrialsOptions) -> int:
         "trials": results,
     }
     write_text(options.out / "trials.json", to_json(document))
-    print(to_json(document) if options.json else table(document["summary"]))
+    print(to_json(document) if options.json else table(document["summary"]) + "\n", end="")
     return ExitCode.DONE
 
 
