@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.collision import Terrain
+from planner.collision import Terrain, point_clearance
 from planner.endgame import Endgame
 from planner.guide import MOVES, Potential
 from planner.space import Space, to_grid
@@ -87,31 +87,36 @@ def _raise_outside(
 
 @njit(cache=True)
 def _cell_shut(space: Space, cell: int, reach_m: float) -> bool:
-    """Whether no body can be at this cell: an obstacle is surely nearer than reach_m."""
+    """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
     row, col = cell // space.cols, cell % space.cols
     if row < 2 or col < 2 or row >= space.rows - 2 or col >= space.cols - 2:
         return True
     x, y = to_grid(
         space, (col - space.origin_col) * space.cell_m, (row - space.origin_row) * space.cell_m
     )
-    return farthest_clearance(space.terrain, x, y) < reach_m
+    return is_nearer(space.terrain, x, y, reach_m)
 
 
 @njit(cache=True)
-def farthest_clearance(terrain: Terrain, x: float, y: float) -> float:
-    """Upper bound in metres on a point's distance to blocked ground; negative off the map."""
+def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
+    """Whether blocked ground or the map's edge is nearer to a point than reach_m, exactly.
+
+    Never for a reach of 0 or less.
+    """
+    if reach_m <= 0.0 or point_clearance(terrain, x, y) >= reach_m:
+        return False
     size = terrain.resolution_m
     rows, cols = terrain.blocked.shape
-    col, row = math.floor(x / size), math.floor(y / size)
-    if row < 0 or col < 0 or row >= rows or col >= cols:
-        return -1.0
-    if terrain.blocked[row, col]:
-        return 0.0
-    off_x, off_y = x - (col + 0.5) * size, y - (row + 0.5) * size
-    # The field is at most half a diagonal below the distance between centres, and the square of
-    # the nearest blocked cell begins at least half a cell before its centre.
-    between_centres = terrain.clearance_m[row, col] + 0.7073 * size
-    return between_centres - 0.5 * size + math.sqrt(off_x * off_x + off_y * off_y)
+    if min(x, y, cols * size - x, rows * size - y) < reach_m:
+        return True
+    for row in range(math.floor((y - reach_m) / size), math.floor((y + reach_m) / size) + 1):
+        dy = max(row * size - y, y - (row + 1) * size, 0.0)
+        for col in range(math.floor((x - reach_m) / size), math.floor((x + reach_m) / size) + 1):
+            if row < rows and col < cols and terrain.blocked[row, col]:
+                dx = max(col * size - x, x - (col + 1) * size, 0.0)
+                if dx * dx + dy * dy < reach_m * reach_m:
+                    return True
+    return False
 
 
 @njit(cache=True)
