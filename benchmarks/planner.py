@@ -1,0 +1,166 @@
+"""Footstep planner on the queries of a benchmark folder: `python -m benchmarks.planner FOLDER`.
+
+FOLDER holds maps with their YAML and queries.json: per map name a dict with `map` (image) and
+`queries`, each with start and goal (x_m, y_m, yaw_rad midway between the feet) and
+best_known_cost_m (or null). Every query is planned twice, to the first plan and to epsilon 1.
+Times are CPU time of this one thread; compiling and the tables of the robot come before.
+Every plan is checked by exact polygons.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tyro
+
+from maps.grid import OccupancyGrid
+from maps.reader import load_map
+from planner.api import Planner
+from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan
+from planner.verify import violations
+
+ROBOT = StepModel(
+    foot=FootShape(length_m=0.20, width_m=0.10),
+    body=BodyShape(length_m=0.24, width_m=0.36),
+    limits=StepLimits(x_m=(-0.15, 0.30), y_m=(0.15, 0.35), yaw_rad=(-0.2, 0.4)),
+    steps=(
+        (0.0, 0.2, 0.0),
+        (0.3, 0.2, 0.0),
+        (0.2, 0.2, 0.0),
+        (0.1, 0.2, 0.0),
+        (-0.15, 0.2, 0.0),
+        (0.0, 0.35, 0.0),
+        (0.15, 0.3, 0.0),
+        (0.2, 0.2, 0.4),
+        (0.0, 0.25, 0.4),
+        (0.25, 0.25, 0.2),
+        (0.2, 0.25, -0.2),
+        (0.1, 0.2, -0.2),
+        (-0.1, 0.25, 0.2),
+    ),
+    stance_width_m=0.2,
+    step_cost_m=0.1,
+    cell_m=0.05,
+    headings=64,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """Footstep planner benchmark.
+
+    folder: maps and queries.json. maps: names to run, all if none. count: queries per map.
+    limit_s: time limit of the runs to epsilon 1. cell_m: cell of the search lattice.
+    """
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    maps: tuple[str, ...] = ()
+    count: int = 1000
+    limit_s: float = 7.0
+    cell_m: float = 0.05
+    epsilon: float = field(default=PlannerOptions().epsilon)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rows:
+    """Measurements (n,) of the queries of one map."""
+
+    first_s: np.ndarray
+    first_ratio: np.ndarray
+    best_s: np.ndarray
+    best_ratio: np.ndarray
+    proven: np.ndarray
+    expansions: np.ndarray
+    wrong: int
+
+
+def timed(planner: Planner, query: dict[str, Any]) -> tuple[FootstepPlan, float]:
+    """A plan and its CPU time in seconds."""
+    began = time.process_time()
+    plan = planner.plan(start=query["start"], goal=query["goal"])
+    return plan, time.process_time() - began
+
+
+def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Arguments) -> Rows:
+    """Measurements of all queries of a map."""
+    model = StepModel(**{**vars(ROBOT), "cell_m": arguments.cell_m})
+    quick = PlannerOptions(epsilon=arguments.epsilon, stop_at_first=True)
+    full = PlannerOptions(
+        epsilon=arguments.epsilon, time_limit_s=arguments.limit_s, max_expansions=10**9
+    )
+    # Compiles, and makes the tables of the robot.
+    Planner(grid, model, full).plan(start=queries[0]["start"], goal=queries[0]["goal"])
+    columns: list[tuple[float, ...]] = []
+    wrong = 0
+    for query in queries:
+        first, first_s = timed(Planner(grid, model, quick), query)
+        best, best_s = timed(Planner(grid, model, full), query)
+        for plan in (first, best):
+            faults = violations(plan, grid, model)
+            wrong += len(faults) > 0
+            for fault in faults[:1]:
+                print(f"query {query['id']}: {fault}", file=sys.stderr)
+        known = query["best_known_cost_m"] or best.cost_m
+        columns.append(
+            (
+                first_s,
+                first.cost_m / best.cost_m,
+                best_s,
+                best.cost_m / known,
+                best.found and best.epsilon == 1.0,
+                best.expansions,
+            )
+        )
+    table = np.array(columns, dtype=float).T
+    return Rows(
+        first_s=table[0],
+        first_ratio=table[1],
+        best_s=table[2],
+        best_ratio=table[3],
+        proven=table[4] > 0,
+        expansions=table[5],
+        wrong=wrong,
+    )
+
+
+def row_of(name: str, rows: Rows) -> str:
+    """One line of the table."""
+
+    def pair(values: np.ndarray, unit: float) -> str:
+        return f"{np.median(values) * unit:.1f} / {np.percentile(values, 95) * unit:.1f}"
+
+    return (
+        f"| {name} | {pair(rows.first_s, 1e3)} | {np.median(rows.first_ratio):.2f} "
+        f"| {pair(rows.best_s, 1e3)} ({int(rows.proven.sum())} of {len(rows.proven)}) "
+        f"| {np.median(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} | {rows.wrong} |"
+    )
+
+
+def main() -> None:
+    """Runs the benchmark and prints its table."""
+    arguments = tyro.cli(Arguments)
+    document = json.loads((arguments.folder / "queries.json").read_text(encoding="utf-8"))
+    print(
+        "| map | first plan, ms, median / p95 | its cost over optimum | to epsilon 1, ms, "
+        "median / p95 (proven) | optimum over best known | expansions | wrong plans |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name in arguments.maps or document:
+        grid = load_map(arguments.folder / document[name]["map"])
+        queries = document[name]["queries"][: arguments.count]
+        print(row_of(name, run_map(grid, queries, arguments)), flush=True)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print(f"peak memory {peak:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()
