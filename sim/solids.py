@@ -1,0 +1,136 @@
+"""Solids to build a robot from that comes without meshes: some to be touched, some to be seen.
+
+All sizes are in metres, in the frame of the body that the solid belongs to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
+
+if TYPE_CHECKING:
+    import mujoco
+
+Vector = tuple[float, float, float]
+Colour = tuple[float, float, float, float]
+
+
+class Solid:
+    """What all solids can do."""
+
+    def mirrored(self) -> Self:
+        """The solid of the other side: y negated."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block(Solid):
+    """An upright block with bevelled edges, of another cross-section below than above.
+
+    `below` and `above` are the centres of its end faces, `size_below` and `size_above` their
+    extents along x and y.
+    """
+
+    below: Vector
+    above: Vector
+    size_below: tuple[float, float]
+    size_above: tuple[float, float]
+    bevel: float = 0.015
+
+    def vertices(self) -> np.ndarray:
+        """Corners (32, 3), of which the block is the convex hull."""
+        below, above = np.array(self.below), np.array(self.above)
+        inset = self.bevel / np.linalg.norm(above - below)
+        rings = []
+        for share, shrink in ((0, self.bevel), (inset, 0), (1 - inset, 0), (1, self.bevel)):
+            size = (1 - share) * np.array(self.size_below) + share * np.array(self.size_above)
+            half_x, half_y = size / 2 - shrink
+            cut = min(self.bevel, half_x, half_y)
+            quarter = np.array([[half_x, half_y - cut], [half_x - cut, half_y]])
+            ring = np.concatenate([quarter * [sx, sy] for sx in (1, -1) for sy in (1, -1)])
+            centre = (1 - share) * below + share * above
+            rings.append(np.column_stack([ring, np.zeros(len(ring))]) + centre)
+        return np.concatenate(rings)
+
+    def mirrored(self) -> Self:
+        """The block of the other side."""
+        return replace(self, below=mirrored(self.below), above=mirrored(self.above))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rod(Solid):
+    """A cylinder, or with `is_round` a capsule, between the centres of its ends."""
+
+    ends: tuple[Vector, Vector]
+    radius: float
+    is_round: bool = False
+
+    def mirrored(self) -> Self:
+        """The rod of the other side."""
+        return replace(self, ends=(mirrored(self.ends[0]), mirrored(self.ends[1])))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box(Solid):
+    """A box along the axes of its body's frame, with its extents along x, y and z."""
+
+    centre: Vector
+    size: Vector
+
+    def mirrored(self) -> Self:
+        """The box of the other side."""
+        return replace(self, centre=mirrored(self.centre))
+
+
+def mirrored(point: Vector) -> Vector:
+    """The point (x, y, z) of the other side."""
+    return point[0], -point[1], point[2]
+
+
+def add_shape(
+    body: mujoco.MjsBody, name: str, solid: Solid, bits: tuple[int, int]
+) -> mujoco.MjsGeom:
+    """Adds the solid as a collision shape without mass, with these contact bits of `sim.robot`."""
+    return body.add_geom(
+        name=name,
+        group=PHYSICS_GROUP,
+        contype=bits[0],
+        conaffinity=bits[1],
+        mass=0,
+        **_primitive(solid),
+    )
+
+
+def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, rgba: Colour) -> None:
+    """Adds the solid to the body to be seen: without mass and without contacts."""
+    import mujoco
+
+    if isinstance(solid, Block):
+        # Without faces MuJoCo takes the convex hull.
+        vertices = solid.vertices().astype(np.float32).ravel()
+        mesh = spec.add_mesh(name=f"block_{len(spec.meshes)}", uservert=vertices)
+        shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name}
+    else:
+        shape = _primitive(solid)
+    body.add_geom(group=VISUAL_GROUP, contype=0, conaffinity=0, mass=0, rgba=rgba, **shape)
+
+
+def _primitive(solid: Solid) -> dict[str, Any]:
+    """Arguments of `add_geom` for what MuJoCo has a shape of its own for."""
+    import mujoco
+
+    kinds = mujoco.mjtGeom
+    if isinstance(solid, Box):
+        half = np.array(solid.size) / 2
+        return {"type": kinds.mjGEOM_BOX, "pos": solid.centre, "size": half}
+    if not isinstance(solid, Rod):
+        raise TypeError(f"{solid} is no primitive shape of MuJoCo: take a Rod or a Box")
+    return {
+        "type": kinds.mjGEOM_CAPSULE if solid.is_round else kinds.mjGEOM_CYLINDER,
+        "fromto": [*solid.ends[0], *solid.ends[1]],
+        "size": [solid.radius, 0, 0],
+    }
