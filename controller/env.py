@@ -139,9 +139,10 @@ class WalkTask:
         rows = np.arange(self.count)
         errors = state.foot_error_m[rows, side], state.foot_heading_error_rad[rows, side]
         self.reset(np.flatnonzero(terminated | truncated))
+        observation = self.observe()
         return Transition(
-            observation=self.observe(),
-            critic_observation=self.critic_observe(),
+            observation=observation,
+            critic_observation=self.critic_observe(observation),
             reward=np.where(failed, 0.0, value),
             terminated=terminated,
             truncated=truncated,
@@ -172,7 +173,7 @@ class WalkTask:
     ) -> WalkState:
         """What the reward is computed from; arrays as they were when the action was chosen."""
         sim, sensors, qpos = self.walker.sim, self.walker.scene.sensors, self.walker.sim.qpos
-        latest = np.nan_to_num(sim.sensors[:, -1])
+        latest = sim.sensors[:, -1]
         soles = self.walker.soles_world()
         pelvis = latest[:, sensors.pelvis_pos_world]
         head_offset = latest[:, sensors.head_pos_world[:2]] - pelvis[:, :2]
@@ -205,8 +206,8 @@ class WalkTask:
             torque_change_nm=torque_change,
         )
 
-    def critic_observe(self) -> np.ndarray:
-        """What the critic sees (B, M): the policy's observation and the privileged fields."""
+    def critic_observe(self, observation: np.ndarray) -> np.ndarray:
+        """What the critic sees (B, M): the policy's scaled observation and privileged fields."""
         sim, sensors, qpos = self.walker.sim, self.walker.scene.sensors, self.walker.sim.qpos
         error = self.walker.soles_world() - self.walker.cursor.foot_targets
         error[..., 3] = wrap_angle_rad(error[..., 3])
@@ -221,4 +222,4 @@ class WalkTask:
             [velocity, height, error.reshape(self.count, -1), force], axis=1
         )
         offset, scale = self._critic_normaliser
-        return np.concatenate([self.observe(), (privileged - offset) / scale], axis=1)
+        return np.concatenate([observation, (privileged - offset) / scale], axis=1)

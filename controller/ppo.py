@@ -54,7 +54,8 @@ class RslWalkEnv(VecEnv):  # type: ignore[misc]
 
     def get_observations(self) -> TensorDict:
         """The present observations."""
-        return self._pack(self.task.observe(), self.task.critic_observe())
+        observation = self.task.observe()
+        return self._pack(observation, self.task.critic_observe(observation))
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
         """One control step of every robot; `extras` carries what the task reported."""

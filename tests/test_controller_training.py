@@ -111,15 +111,18 @@ def test_simulation_that_leaves_the_finite_numbers_ends_its_episode_only():
     assert np.isfinite(step.critic_observation).all()
 
 
-def test_held_out_assessment_repeats(tmp_path):
+def test_held_out_assessment_repeats_and_counts_each_landing():
     robot = get_robot("jvrc1")
-    config = TaskConfig(episode_ticks=60)
-    results = [
-        assess_mode(robot, small_policy(robot), "forward", episodes=4, seed=s, config=config)
-        for s in (1, 1, 2)
-    ]
-    assert results[0].summary == results[1].summary
-    assert results[0].episodes == 4
+    policy, config = load_policy(robot), TaskConfig(episode_ticks=150)
+    first, again, other = (
+        assess_mode(robot, policy, "forward", episodes=4, seed=seed, config=config)
+        for seed in (1, 1, 2)
+    )
+    # Up to 20 ticks of waiting, 14 of weight shift, then 44 a step: two or three steps each.
+    assert 8 <= len(first.landing_error_m) <= 12
+    assert first.falls == 0
+    assert np.array_equal(first.landing_error_m, again.landing_error_m)
+    assert not np.array_equal(first.landing_error_m, other.landing_error_m)
 
 
 def test_policy_acts_as_its_layers_worked_by_hand():

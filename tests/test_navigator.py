@@ -106,8 +106,10 @@ def test_feet_that_miss_lead_to_a_new_plan_from_where_they_are():
 
 def test_robot_without_skill_falls():
     still = load_policy(ROBOT)
-    layers = (*still.layers[:-1], tuple(np.zeros_like(part) for part in still.layers[-1]))
-    walker = walk(navigator(empty_map(), (1.0, 0.0, 0.0), policy=replace(still, layers=layers)))
+    weight, bias = still.layers[-1]
+    idle = (np.zeros_like(weight), np.zeros_like(bias))
+    policy = replace(still, layers=(*still.layers[:-1], idle))
+    walker = walk(navigator(empty_map(), (1.0, 0.0, 0.0), policy=policy))
     assert walker.outcome is Outcome.FELL
     assert walker.outcome.exit_code == 4
     assert "fell near" in walker.reason
