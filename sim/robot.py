@@ -75,11 +75,12 @@ class GaitTiming:
 class Robot:
     """Everything that is special about one robot.
 
-    `joints` holds the left leg's joints, then the right leg's in the same order. The pelvis
-    height (m, above the sole) and pitch are those of the half-sitting posture with flat soles.
-    An episode ends, and a walk counts as fallen, when the pelvis is less than
-    `fallen_height_m` above the lower foot. `add_meshes` dresses a spec that `build` made, for
-    pictures; a robot without it is drawn by its collision shapes.
+    `joints` holds the left leg's joints, then the right leg's in the same order. `height_m` is
+    from the soles to the top of the head with all those joints at 0. The pelvis height (m, above
+    the sole) and pitch are those of the half-sitting posture with flat soles. An episode ends, and
+    a walk counts as fallen, when the pelvis is less than `fallen_height_m` above the lower foot.
+    `add_meshes` dresses a spec that `build` made, for pictures; a robot without it is drawn by its
+    collision shapes.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Robot:
     gait: GaitTiming
     joints: tuple[LegJoint, ...]
     mass_kg: float
+    height_m: float
     pelvis_height_m: float
     pelvis_pitch_rad: float
     fallen_height_m: float

@@ -9,7 +9,7 @@ import pytest
 from sim.batch import SimBatch
 from sim.clearance import min_clearance_m
 from sim.robots import get_robot, robot_names
-from sim.scene import Scene, Walls, build_scene
+from sim.scene import WALL_HEIGHT_M, Scene, Walls, build_scene
 
 CONTROL_PERIOD_S = 0.025
 
@@ -88,8 +88,20 @@ def test_planner_foot_is_the_sole_box_and_the_site_its_centre(scene):
         assert site.pos[2] == pytest.approx(geom.pos[2] - geom.size[2])
 
 
+def reach_m(scene: Scene, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Half extents (3,) along the world's axes of a collision shape about its centre."""
+    turn, size = np.abs(data.geom_xmat[geom].reshape(3, 3)), scene.model.geom_size[geom]
+    kind = mujoco.mjtGeom(scene.model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return turn @ size
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return np.full(3, size[0])
+    assert kind == mujoco.mjtGeom.mjGEOM_CAPSULE, f"{scene.model.geom(geom).name} is a {kind.name}"
+    return turn[:, 2] * size[1] + size[0]
+
+
 def test_planner_body_box_holds_the_upper_body(scene):
-    """Sampled in half-sitting: every collision shape but legs and feet lies inside the box."""
+    """In half-sitting every collision shape but legs and feet lies inside the box."""
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.standing_qpos
     mujoco.mj_kinematics(scene.model, data)
@@ -98,9 +110,7 @@ def test_planner_body_box_holds_the_upper_body(scene):
     for geom in range(scene.model.ngeom):
         if scene.model.geom_contype[geom] or not scene.model.geom_conaffinity[geom]:
             continue
-        axis = data.geom_xmat[geom].reshape(3, 3)[:, 2] * scene.model.geom_size[geom, 1]
-        reach = np.abs(np.stack([data.geom_xpos[geom] + axis, data.geom_xpos[geom] - axis]))
-        reach = reach.max(axis=0)[:2] + scene.model.geom_size[geom, 0]
+        reach = np.abs(data.geom_xpos[geom]) + reach_m(scene, data, geom)
         assert reach[0] <= body.length_m / 2 + 1e-6, scene.model.geom(geom).name
         assert reach[1] <= body.width_m / 2 + 1e-6, scene.model.geom(geom).name
         looked_at += 1
@@ -181,21 +191,26 @@ def test_servo_torque_is_the_pd_law_clipped_at_the_limit(scene):
 def test_legs_that_cross_are_felt(scene):
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.standing_qpos
-    for joint, address in zip(scene.robot.joints, scene.joint_qpos, strict=True):
-        if joint.mirror_sign == -1 and "R" in joint.name.split("_")[-1]:
-            side = 1 if joint.name.startswith("L") else -1
-            data.qpos[address] -= 0.3 * side  # both feet inwards
+    mujoco.mj_kinematics(scene.model, data)
+    half = len(scene.robot.joints) // 2
+    rolls = 0
+    for k, joint in enumerate(scene.robot.joints):
+        forward = data.xaxis[scene.model.joint(joint.name).id][0]
+        if abs(forward) > 0.8:
+            side = 1 if k < half else -1
+            data.qpos[scene.joint_qpos[k]] -= 0.3 * side * np.sign(forward)  # both feet inwards
+            rolls += 1
+    assert rolls == 4, "hip and ankle of each leg roll"
     mujoco.mj_forward(scene.model, data)
     assert data.sensordata[scene.sensors.legs_touching] > 0
 
 
 @pytest.mark.parametrize(("gap_m", "touches"), [(0.02, False), (-0.02, True)])
-def test_a_wall_is_felt_and_its_distance_measured(gap_m, touches):
-    robot = get_robot("jvrc1")
-    half_width = robot.step_model.body.width_m / 2
-    plain = build_scene(robot, timestep_s=0.001)
-    reach = _widest(plain)
-    assert reach <= half_width
+@pytest.mark.parametrize("name", robot_names())
+def test_a_wall_is_felt_and_its_distance_measured(name, gap_m, touches):
+    robot = get_robot(name)
+    reach = _widest(build_scene(robot, timestep_s=0.001))
+    assert reach <= robot.step_model.body.width_m / 2
     wall_y = reach + gap_m + 0.05
     # The wall's own frame is turned and shifted, as a map's may be.
     walls = Walls(boxes_m=np.array([[wall_y, 0.0, 0.05, 2.0]]), origin=(0.0, 0.0, np.pi / 2))
@@ -209,17 +224,16 @@ def test_a_wall_is_felt_and_its_distance_measured(gap_m, touches):
 
 
 def _widest(scene: Scene) -> float:
-    """Largest y of any collision capsule below the walls' height."""
+    """Largest y of any collision shape whose widest point is below the walls' height."""
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.standing_qpos
     mujoco.mj_kinematics(scene.model, data)
-    widest = 0.0
-    for geom in range(scene.model.ngeom):
-        if scene.model.geom_conaffinity[geom] and data.geom_xpos[geom, 2] < 1.0:
-            axis = data.geom_xmat[geom].reshape(3, 3)[:, 2] * scene.model.geom_size[geom, 1]
-            y = max(data.geom_xpos[geom, 1] + axis[1], data.geom_xpos[geom, 1] - axis[1])
-            widest = max(widest, y + scene.model.geom_size[geom, 0])
-    return widest
+    robot = scene.model.geom_conaffinity > 0
+    return max(
+        data.geom_xpos[geom, 1] + reach_m(scene, data, int(geom))[1]
+        for geom in np.flatnonzero(robot)
+        if data.geom_xpos[geom, 2] < WALL_HEIGHT_M
+    )
 
 
 def test_clearance_is_unknown_without_walls(scene):

@@ -355,6 +355,7 @@ ROBOT = Robot(
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
     joints=_joints(),
     mass_kg=103.0,
+    height_m=1.82,
     pelvis_height_m=0.7904,
     pelvis_pitch_rad=0.0,
     fallen_height_m=0.58,

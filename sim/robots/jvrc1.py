@@ -230,6 +230,7 @@ ROBOT = Robot(
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
     joints=_joints(),
     mass_kg=62.4,
+    height_m=1.71,
     pelvis_height_m=0.8086,
     pelvis_pitch_rad=math.radians(4.0),
     fallen_height_m=0.60,
