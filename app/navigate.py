@@ -113,6 +113,7 @@ def _check_outputs(options: NavigateOptions) -> None:
     """Find out before the walk, not after it, that a file cannot be written or drawn."""
     make_folder(options.out, option="--out")
     for option, path, endings in (
+        ("--html", options.html, (".html", ".htm")),
         ("--video", options.video, (".mp4",)),
         ("--strip", options.strip, PICTURE_ENDINGS),
         ("--gait-strip", options.gait_strip, PICTURE_ENDINGS),
@@ -140,15 +141,25 @@ def _write(
 def _draw(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, navigator: Navigator
 ) -> None:
-    """Film and picture strips of the walk, where they were asked for."""
-    if options.video is None and options.strip is None and options.gait_strip is None:
+    """Replay, film and picture strips of the walk, where they were asked for."""
+    qpos = np.array(navigator.qpos)
+    recording = Recording(qpos=qpos, time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S)
+    if options.html is not None:
+        from app.page.replay import Story, write_replay
+
+        story = Story(
+            recording=recording,
+            plans=tuple(navigator.followed),
+            placed=tuple(navigator.placed),
+            goal=options.goal,
+        )
+        write_replay(options.html, grid, robot, story)
+    if not options.draws_robot:
         return
     from app.strip import write_strip
     from app.video import write_film
 
     scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
-    qpos = np.array(navigator.qpos)
-    recording = Recording(qpos=qpos, time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S)
     if options.video is not None:
         write_film(options.video, scene.model, recording)
     if options.strip is not None:

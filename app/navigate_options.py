@@ -40,6 +40,9 @@ class NavigateOptions(MapOptions):
     out: FolderOption = Path("runs/navigate")
     """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
 
+    html: OptionalFile = None
+    """Also write the walk as a web page to watch, such as walk.html; opens from disk."""
+
     video: OptionalFile = None
     """Also write a film of the walk, such as walk.mp4; needs a GL library."""
 

@@ -45,11 +45,15 @@ class NavigatorConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Placed:
-    """One step as it was asked for and as the foot came to rest: poses x, y, z, yaw (4,)."""
+    """One step as it was asked for and as the foot came to rest: poses x, y, z, yaw (4,).
+
+    `time_s` is when the step's period ended, in simulated time since the start of the walk.
+    """
 
     side: Side
     asked_world: np.ndarray
     placed_world: np.ndarray
+    time_s: float
 
     @property
     def error_m(self) -> float:
@@ -65,7 +69,8 @@ class Placed:
 class Navigator:
     """One robot on its way to a goal: `plan()` once, then `tick()` until `outcome` is set.
 
-    Poses are x_m, y_m, yaw_rad in the world; time passes only in `tick()`.
+    Poses are x_m, y_m, yaw_rad in the world; time passes only in `tick()`. `followed` holds the
+    plans that were walked, each with the time at which it was taken up.
     """
 
     def __init__(
@@ -92,6 +97,7 @@ class Navigator:
         qpos[self.scene.joint_qpos] += self.config.joint_noise_rad * noise
         self.walker.place(0, qpos)
         self.plans: list[FootstepPlan] = []
+        self.followed: list[tuple[float, FootstepPlan]] = []
         self.placed: list[Placed] = []
         self.qpos: list[np.ndarray] = [qpos.copy()]
         self.outcome: Outcome | None = None
@@ -143,7 +149,10 @@ class Navigator:
         if self.outcome is not None:
             return
         if stepped:
-            self._landed(Placed(side=side, asked_world=asked, placed_world=self._feet()[side]))
+            placed_world = self._feet()[side]
+            self._landed(
+                Placed(side=side, asked_world=asked, placed_world=placed_world, time_s=self.time_s)
+            )
         if cursor.arrived[0]:
             self._settle()
         elif self.time_s > self._deadline_s:
@@ -211,6 +220,7 @@ class Navigator:
     def _follow(self, plan: FootstepPlan, *, wait_ticks: int, walking: bool) -> None:
         track = Track.of(plan.start_feet_world, plan.side.astype(np.int64), plan.pose_world)
         self.walker.follow(0, track, wait_ticks=wait_ticks, walking=walking)
+        self.followed.append((self.time_s, plan))
         self._still_ticks = self._arrived_ticks = 0
         walk_s = len(plan) * self.robot.gait.step_s
         config = self.config

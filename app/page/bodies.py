@@ -1,0 +1,109 @@
+"""The robot's moving bodies as triangles, and where each of them is at a state."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import trimesh
+
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
+from sim.scene import build_scene
+
+# Any timestep will do: nothing is simulated with the model that is drawn.
+_TIMESTEP_S = 0.001
+_CAPSULE_SIDES = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Triangles of one colour in the frame of their body: vertices (V, 3) in m, faces (F, 3)."""
+
+    vertices_m: np.ndarray
+    faces: np.ndarray
+    rgb: tuple[int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Look:
+    """What a robot looks like: the model's bodies that are drawn, by name, and their parts."""
+
+    model: mujoco.MjModel
+    body_ids: np.ndarray
+    names: tuple[str, ...]
+    parts: tuple[tuple[Part, ...], ...]
+
+    def poses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (N, 3) in m and quaternions (N, 4) w, x, y, z in the world at qpos (nq,)."""
+        data = mujoco.MjData(self.model)
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, data)
+        return data.xpos[self.body_ids], data.xquat[self.body_ids]
+
+
+def look_of(robot: Robot) -> Look:
+    """The robot's meshes, or its collision shapes if it has none, gathered by body and colour."""
+    model = build_scene(robot, timestep_s=_TIMESTEP_S, visuals=True).model
+    group = VISUAL_GROUP if np.any(model.geom_group == VISUAL_GROUP) else PHYSICS_GROUP
+    gathered: dict[int, dict[tuple[int, int, int], list[trimesh.Trimesh]]]
+    gathered = defaultdict(lambda: defaultdict(list))
+    for geom in np.flatnonzero((model.geom_group == group) & (model.geom_bodyid > 0)):
+        red, green, blue = (int(255 * value) for value in model.geom_rgba[geom, :3])
+        shape = _shape(model, int(geom))
+        gathered[int(model.geom_bodyid[geom])][red, green, blue].append(shape)
+    body_ids = sorted(gathered)
+    return Look(
+        model=model,
+        body_ids=np.array(body_ids),
+        names=tuple(model.body(body).name for body in body_ids),
+        parts=tuple(_parts(gathered[body]) for body in body_ids),
+    )
+
+
+def _parts(by_colour: dict[tuple[int, int, int], list[trimesh.Trimesh]]) -> tuple[Part, ...]:
+    parts = []
+    for rgb, shapes in by_colour.items():
+        whole: Any = trimesh.util.concatenate(shapes)
+        vertices_m, faces = np.array(whole.vertices), np.array(whole.faces)
+        parts.append(Part(vertices_m=vertices_m, faces=faces, rgb=rgb))
+    return tuple(parts)
+
+
+def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
+    """The geom's triangles in the frame of its body.
+
+    Raises:
+        ValueError: The geom is of a kind that robots do not have so far.
+    """
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+    size = model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        shape = _mesh(model, int(model.geom_dataid[geom]))
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        shape = trimesh.creation.box(extents=2 * size)
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        shape = trimesh.creation.icosphere(subdivisions=2, radius=size[0])
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        shape = trimesh.creation.cylinder(radius=size[0], height=2 * size[1])
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        sides = [_CAPSULE_SIDES, _CAPSULE_SIDES]
+        shape = trimesh.creation.capsule(height=2 * size[1], radius=size[0], count=sides)
+    else:
+        raise ValueError(f"geom {model.geom(geom).name!r} is a {kind.name}, which nobody draws yet")
+    placed = np.eye(4)
+    rotation = np.empty(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    placed[:3, :3], placed[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
+    return shape.apply_transform(placed)
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
+    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+    first_face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+    return trimesh.Trimesh(
+        vertices=model.mesh_vert[first : first + count],
+        faces=model.mesh_face[first_face : first_face + faces],
+    )

@@ -1,0 +1,40 @@
+"""The robot in a viser scene: one node for each moving body."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from app.page.bodies import Look
+
+ROOT = "/robot"
+
+
+class Figure:
+    """The robot as drawn; `pose` moves it. A robot drawn before under the same name goes."""
+
+    def __init__(self, scene: viser.SceneApi, look: Look) -> None:
+        self._look = look
+        self._root = scene.add_frame(ROOT, show_axes=False)
+        self._bodies = []
+        for name, parts in zip(look.names, look.parts, strict=True):
+            self._bodies.append(scene.add_frame(f"{ROOT}/{name}", show_axes=False))
+            for index, part in enumerate(parts):
+                scene.add_mesh_simple(
+                    f"{ROOT}/{name}/{index}",
+                    part.vertices_m.astype(np.float32),
+                    part.faces.astype(np.uint32),
+                    color=part.rgb,
+                    side="double",
+                )
+
+    def pose(self, qpos: np.ndarray) -> None:
+        """Puts every body where it is at qpos (nq,)."""
+        positions, quaternions = self._look.poses(qpos)
+        for body, position, wxyz in zip(self._bodies, positions, quaternions, strict=True):
+            body.position = position.round(4)
+            body.wxyz = wxyz.round(5)
+
+    def remove(self) -> None:
+        """Takes the robot out of the scene."""
+        self._root.remove()

@@ -1,0 +1,136 @@
+"""The replay: a page of its own whose recording says what happened, when, and where."""
+
+from __future__ import annotations
+
+import base64
+import re
+
+import msgspec
+import numpy as np
+import pytest
+import zstandard
+
+from app.navigator import Placed
+from app.page.bodies import look_of
+from app.page.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
+from app.rendering import Recording
+from maps.grid import OccupancyGrid
+from planner.model import Side
+from planner.plan import FootstepPlan, feet_at
+from sim.robots import get_robot, robot_names
+from sim.scene import build_scene
+
+STEP_S = 0.5
+
+
+def recorded(page: str) -> dict:
+    """What the page's player is given: durationSeconds, and messages as (time, message)."""
+    (embedded,) = re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', page)
+    data = base64.b64decode(embedded)
+    plain = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
+    length = int.from_bytes(plain[:8], "little")
+    return msgspec.msgpack.decode(plain[8 : 8 + length])
+
+
+@pytest.fixture(scope="module")
+def story() -> Story:
+    """Two seconds in which the robot slides along x and two steps are placed."""
+    robot = get_robot("jvrc1")
+    standing = build_scene(robot, timestep_s=0.001).standing_qpos
+    time_s = np.arange(0, 2.001, 0.025)
+    qpos = np.tile(standing, (len(time_s), 1))
+    qpos[:, 0] += time_s / 10
+    feet, goal_feet = feet_at((0, 0, 0), 0.2), feet_at((0.2, 0, 0), 0.2)
+    plan = FootstepPlan(
+        start_feet_world=feet,
+        start=(0, 0, 0),
+        goal=(0.2, 0, 0),
+        side=np.array([Side.LEFT, Side.RIGHT]),
+        pose_world=goal_feet,
+    )
+    placed = tuple(
+        Placed(
+            side=side,
+            asked_world=goal_feet[side],
+            placed_world=goal_feet[side],
+            time_s=STEP_S * (1 + side),
+        )
+        for side in Side
+    )
+    return Story(
+        recording=Recording(qpos=qpos, time_s=time_s),
+        plans=((0.0, plan),),
+        placed=placed,
+        goal=(0.2, 0, 0),
+    )
+
+
+@pytest.fixture(scope="module")
+def page(story, tmp_path_factory) -> str:
+    path = tmp_path_factory.mktemp("replay") / "walk.html"
+    cells = np.zeros((40, 60), np.uint8)
+    cells[0], cells[-1] = 1, 2
+    grid = OccupancyGrid(cells=cells, resolution_m=0.05, origin=(-1.0, -1.0, 0.0))
+    write_replay(path, grid, get_robot("jvrc1"), story)
+    return path.read_text(encoding="utf-8")
+
+
+def test_it_plays_as_long_as_the_walk_and_a_little_more(page):
+    assert recorded(page)["durationSeconds"] == pytest.approx(2.0 + 2.0)
+
+
+def test_it_is_small_and_names_no_script_elsewhere(page):
+    assert len(page) < 2_000_000
+    assert not re.findall(r'<(?:script|link)[^>]+(?:src|href)="(?!data:)', page)
+
+
+def test_the_pelvis_is_where_it_was(page):
+    messages = recorded(page)["messages"]
+    seen = [
+        (time_s, message["position"])
+        for time_s, message in messages
+        if message["type"] == "SetPositionMessage" and message["name"] == "/robot/pelvis"
+    ]
+    assert len(seen) == 2.0 * FRAMES_PER_S + 1
+    first = seen[0][1]
+    for time_s, position in seen:
+        assert position[0] - first[0] == pytest.approx(time_s / 10, abs=2e-3)
+        assert position[1:] == pytest.approx(first[1:], abs=1e-3)
+
+
+def test_footprints_appear_when_the_feet_come_down(page):
+    messages = recorded(page)["messages"]
+    shown = {
+        message["name"]: time_s
+        for time_s, message in messages
+        if message["type"] == "SceneNodeUpdateMessage" and "/placed_" in message["name"]
+    }
+    assert shown["/steps/placed_left"] == pytest.approx(STEP_S, abs=1 / FRAMES_PER_S)
+    assert shown["/steps/placed_right"] == pytest.approx(2 * STEP_S, abs=1 / FRAMES_PER_S)
+
+
+def test_nothing_moves_the_camera_while_it_plays(page):
+    cameras = [
+        time_s for time_s, message in recorded(page)["messages"] if "Camera" in message["type"]
+    ]
+    assert cameras
+    assert not any(cameras)
+
+
+def test_a_long_walk_gets_fewer_frames(story):
+    time_s = np.arange(0, 1000.0, 0.025)
+    indices = frame_indices(Recording(qpos=np.zeros((len(time_s), 7)), time_s=time_s))
+    assert len(indices) == MAX_FRAMES
+    assert indices[0] == 0
+    assert indices[-1] == len(time_s) - 1
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_each_robot_has_a_look(name):
+    robot = get_robot(name)
+    look = look_of(robot)
+    standing = build_scene(robot, timestep_s=0.001).standing_qpos
+    positions, quaternions = look.poses(standing)
+    assert len(positions) == len(quaternions) == len(look.names) == len(look.parts) > 5
+    assert "pelvis" in look.names
+    assert all(parts for parts in look.parts)
