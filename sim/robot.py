@@ -80,7 +80,8 @@ class Robot:
     the sole) and pitch are those of the half-sitting posture with flat soles. An episode ends, and
     a walk counts as fallen, when the pelvis is less than `fallen_height_m` above the lower foot.
     `add_meshes` dresses a spec that `build` made, for pictures; a robot without it is drawn by its
-    collision shapes.
+    collision shapes. `needs` names the module of a package that `build` takes the model from, and
+    the extra of this project that installs it, where that is not always installed.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Robot:
     fallen_height_m: float
     build: Callable[[], mujoco.MjSpec]
     add_meshes: Callable[[mujoco.MjSpec], None] | None = None
+    needs: tuple[str, str] | None = None
 
     @cached_property
     def half_sitting_rad(self) -> np.ndarray:

@@ -3,23 +3,46 @@
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import pkgutil
 
 from sim.robot import Robot
 
 
 def robot_names() -> tuple[str, ...]:
-    """Names of the robots there are, in alphabetical order."""
-    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
+    """Names of the robots that can be built here, in alphabetical order.
+
+    Those whose model is in a package that is not installed are left out.
+    """
+    return tuple(name for name in _all_names() if _is_installed(_robot(name)))
 
 
 def get_robot(name: str) -> Robot:
     """The robot of that name.
 
     Raises:
-        ValueError: there is no such robot; the message lists those there are.
+        ValueError: there is no such robot, or its model is not installed; the message lists those
+            there are, or says what to install.
     """
-    if name not in robot_names():
+    if name not in _all_names():
         raise ValueError(f"no robot {name!r}: choose one of {', '.join(robot_names())}")
+    robot = _robot(name)
+    if robot.needs is not None and not _is_installed(robot):
+        raise ValueError(
+            f"robot {name!r} needs a package that is not installed: "
+            f"python -m pip install -e '.[{robot.needs[1]}]'"
+        )
+    return robot
+
+
+def _all_names() -> tuple[str, ...]:
+    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
+
+
+def _robot(name: str) -> Robot:
     robot: Robot = importlib.import_module(f"{__name__}.{name}").ROBOT
     return robot
+
+
+def _is_installed(robot: Robot) -> bool:
+    return robot.needs is None or importlib.util.find_spec(robot.needs[0]) is not None

@@ -1,0 +1,163 @@
+"""Unitree H1: 51.4 kg, 1.80 m, 10 leg joints; arms and waist held fixed. Needs the extra `unitree`.
+
+Masses, inertias, axes, joint ranges, torque limits, rotor inertia and damping are those of the
+model `unitree_h1` of MuJoCo Menagerie; speed limits those of Unitree's own description of the
+robot (unitreerobotics/unitree_ros at 34e7506, h1.urdf). Ours are the servo gains, half-sitting, the
+capsules and boxes, estimated from the bounds of the meshes, and what the planner is told.
+
+The ankle has no roll: with the feet not 0.41 m apart, as the hips are, the soles lean: by up to 3.3
+degrees in the step set, and 7 at the corners of the step limits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from sim.menagerie import EXTRA, PACKAGE, add_menagerie_meshes, load
+from sim.robot import (
+    LEFT_LEG_BITS,
+    RIGHT_LEG_BITS,
+    UPPER_BODY_BITS,
+    GaitTiming,
+    LegJoint,
+    Robot,
+)
+from sim.solids import Box, Rod, Solid, add_shape
+
+if TYPE_CHECKING:
+    import mujoco
+
+MODEL = "unitree_h1/h1.xml"
+RENAMED = {"left_hip_yaw_link": "left_leg", "right_hip_yaw_link": "right_leg"}
+FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.22, 0.08, 0.02
+SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.055, 0.07
+
+# name, kp, kd, torque limit, speed limit, armature, half-sitting (deg), mirror sign
+_LEG = (
+    ("hip_yaw", 200, 20, 200, 23, 0.1, 0, -1),
+    ("hip_roll", 200, 20, 200, 23, 0.1, 0, -1),
+    ("hip_pitch", 200, 20, 200, 23, 0.1, -17, 1),
+    ("knee", 250, 25, 300, 14, 0.1, 43, 1),
+    ("ankle", 60, 6, 40, 9, 0.1, -26, 1),
+)
+# At 0 the forearms point forward.
+ARM_POSE_RAD = {"left_elbow": 1.1, "right_elbow": 1.1}
+
+_LEG_SHAPES: dict[str, dict[str, Solid]] = {
+    "hip_pitch_link": {
+        "thigh": Rod(ends=((0.02, 0, -0.02), (0.01, 0, -0.37)), radius=0.055, is_round=True)
+    },
+    "knee_link": {
+        "shank": Rod(ends=((0, 0, -0.03), (-0.01, 0, -0.33)), radius=0.045, is_round=True)
+    },
+    "ankle_link": {
+        "foot": Box(
+            centre=(SOLE_CENTRE_X_M, 0, SOLE_THICKNESS_M / 2 - ANKLE_HEIGHT_M),
+            size=(FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M),
+        )
+    },
+}
+_ARM_SHAPES: dict[str, dict[str, Solid]] = {
+    "shoulder_yaw_link": {
+        "upper_arm": Rod(ends=((0, 0, 0.13), (0.01, 0, -0.20)), radius=0.05, is_round=True)
+    },
+    "elbow_link": {
+        "forearm": Rod(ends=((0, 0, -0.01), (0.28, 0, -0.01)), radius=0.042, is_round=True)
+    },
+}
+_BODY_SHAPES: dict[str, dict[str, Solid]] = {
+    "pelvis": {
+        "hips": Rod(ends=((-0.02, -0.07, -0.12), (-0.02, 0.07, -0.12)), radius=0.09, is_round=True)
+    },
+    "torso_link": {
+        "torso": Box(centre=(0.02, 0, 0.24), size=(0.19, 0.32, 0.44)),
+        "skull": Rod(ends=((0.03, 0, 0.56), (0.03, 0, 0.66)), radius=0.092, is_round=True),
+    },
+}
+
+# Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
+STEPS = (
+    *((x, 0.40, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.28)),
+    *((x, 0.45, 0.0) for x in (-0.10, 0.0, 0.10)),
+    *((x, 0.35, 0.0) for x in (-0.10, 0.0, 0.15)),
+    *((x, 0.40, 0.25) for x in (-0.05, 0.0, 0.10, 0.20)),
+    *((x, 0.40, 0.1) for x in (0.0, 0.10, 0.25)),
+    *((x, 0.40, -0.1) for x in (0.0, 0.10, 0.20)),
+)
+
+
+def _joints() -> tuple[LegJoint, ...]:
+    return tuple(
+        LegJoint(
+            name=f"{side}_{name}",
+            kp=kp,
+            kd=kd,
+            torque_limit_nm=torque,
+            speed_limit_rad_s=speed,
+            armature_kg_m2=armature,
+            half_sitting_rad=math.radians(angle_deg),
+            mirror_sign=sign,
+        )
+        for side in ("left", "right")
+        for name, kp, kd, torque, speed, armature, angle_deg, sign in _LEG
+    )
+
+
+def build() -> mujoco.MjSpec:
+    """The model: bodies and joints from Menagerie, collision shapes of our own."""
+    spec = load(
+        MODEL,
+        renamed=RENAMED,
+        joints=[joint.name for joint in _joints()],
+        held_rad=ARM_POSE_RAD,
+    )
+    for side, bits in (("left", LEFT_LEG_BITS), ("right", RIGHT_LEG_BITS)):
+        for table, of in ((_LEG_SHAPES, bits), (_ARM_SHAPES, UPPER_BODY_BITS)):
+            for body, shapes in table.items():
+                for name, shape in shapes.items():
+                    add_shape(spec.body(f"{side}_{body}"), f"{side}_{name}", shape, of)
+        foot = spec.body(f"{side}_ankle_link")
+        foot.add_site(name=f"{side}_sole", pos=[SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M])
+    for body, shapes in _BODY_SHAPES.items():
+        for name, shape in shapes.items():
+            add_shape(spec.body(body), name, shape, UPPER_BODY_BITS)
+    spec.body("torso_link").add_site(name="head", pos=[0.03, 0, 0.66])
+    return spec
+
+
+def add_meshes(spec: mujoco.MjSpec) -> None:
+    """Dresses the model in its meshes."""
+    colours = {"black": (0.16, 0.17, 0.19, 1.0), "white": (0.92, 0.92, 0.93, 1.0)}
+    add_menagerie_meshes(spec, MODEL, renamed=RENAMED, colours=colours)
+
+
+ROBOT = Robot(
+    name="h1",
+    title="Unitree H1",
+    step_model=StepModel(
+        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        body=BodyShape(length_m=0.36, width_m=0.56),
+        limits=StepLimits(x_m=(-0.20, 0.30), y_m=(0.32, 0.46), yaw_rad=(-0.15, 0.3)),
+        steps=STEPS,
+        stance_width_m=0.40,
+        turn_cost_m=0.05,
+        side_cost_m=0.2,
+        back_cost_m=0.2,
+        clearance_m=0.25,
+        clearance_cost_m=0.25,
+        foot_margin_m=0.03,
+        body_margin_m=0.08,
+    ),
+    gait=GaitTiming(single_support_s=0.5, double_support_s=0.2),
+    joints=_joints(),
+    mass_kg=51.44,
+    height_m=1.80,
+    pelvis_height_m=0.9863,
+    pelvis_pitch_rad=0.0,
+    fallen_height_m=0.75,
+    build=build,
+    needs=(PACKAGE, EXTRA),
+    add_meshes=add_meshes,
+)
