@@ -11,15 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.ara import Request, Result, plan_ara
+from planner.ara import Request, Result, build_heuristic, plan_ara
 from planner.collision import terrain_of
 from planner.endgame import Endgame, build_endgame
 from planner.endpoints import suggestion, what_blocks
+from planner.exits import Exits, build_exits
 from planner.guide import Potential, build_potential
 from planner.lattice import StepTable, build_step_table
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
+from planner.search import Heuristic
 from planner.space import Space, build_space
 
 FloatArray = NDArray[np.float64]
@@ -27,10 +29,11 @@ _ALREADY_THERE_M = 1e-6
 
 
 @lru_cache(maxsize=8)
-def _tables(model: StepModel) -> tuple[StepTable, Potential, Endgame]:
+def _tables(model: StepModel) -> tuple[StepTable, Potential, Endgame, Exits]:
     table = build_step_table(model)
     potential = build_potential(model, table)
-    return table, potential, build_endgame(model, table, potential)
+    endgame = build_endgame(model, table, potential)
+    return table, potential, endgame, build_exits(table, potential)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +59,8 @@ class Planner:
         self.model = model
         self.options = options or PlannerOptions()
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
-        self._table, self._potential, self._endgame = _tables(model)
-        self._space: tuple[Pose, Space] | None = None
+        self._table, self._potential, self._endgame, self._exits = _tables(model)
+        self._toward: tuple[Pose, Space, Heuristic] | None = None
 
     def plan(
         self,
@@ -143,15 +146,15 @@ class Planner:
         return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
 
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
-        if self._space is None or self._space[0] != query.goal:
+        if self._toward is None or self._toward[0] != query.goal:
             space = build_space(self.grid, self._terrain, self.model, self._table, query.goal)
-            self._space = query.goal, space
+            heuristic = build_heuristic(space, self._potential, self._endgame, self._exits)
+            self._toward = query.goal, space, heuristic
         result = plan_ara(
             Request(
-                space=self._space[1],
+                space=self._toward[1],
                 model=self.model,
-                potential=self._potential,
-                endgame=self._endgame,
+                heuristic=self._toward[2],
                 feet_lattice=_to_lattice(query.start_feet_world, query.goal),
                 stands=query.stands,
                 first_side=query.first_side,

@@ -13,6 +13,7 @@ from planner import search
 from planner.body_path import search_body_path
 from planner.connect import first_steps
 from planner.endgame import Endgame
+from planner.exits import SECTORS, Exits
 from planner.guide import Potential
 from planner.lattice import MICRO, final_cost_um, foot_position
 from planner.model import Side, StepModel
@@ -24,7 +25,6 @@ from planner.space import Space
 FloatArray = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 _BUDGET = 4096  # expansions between two looks at the clock
-_MARGIN_UM = 3_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,8 +33,7 @@ class Request:
 
     space: Space
     model: StepModel
-    potential: Potential
-    endgame: Endgame
+    heuristic: Heuristic
     feet_lattice: FloatArray
     stands: bool
     first_side: Side | None
@@ -75,8 +74,8 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
         return _failure(
             PlanStatus.NO_PATH, f"start: no first step{side} is free of obstacles and in limits"
         )
-    heuristic = _heuristic(request, nodes)
-    if heuristic is None:
+    heuristic = request.heuristic
+    if not _can_reach(request.space, heuristic, nodes):
         return _failure(
             PlanStatus.NO_PATH,
             "the goal cannot be reached: obstacles enclose the start or the goal "
@@ -99,23 +98,29 @@ def _seeds(request: Request) -> tuple[Int64s, Int64s]:
     return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
 
 
-def _heuristic(request: Request, seeds: Int64s) -> Heuristic | None:
-    """The heuristic for a search from these nodes; None if no body path leads to any of them."""
-    space, potential = request.space, request.potential
-    body_cell = (potential.body_row * space.cols + potential.body_col).reshape(-1)
-    rows = (seeds >> 1) % space.headings * 2 + (seeds & 1)
-    targets = (seeds >> 1) // space.headings + body_cell[rows]
-    path = search_body_path(space, potential, request.endgame, targets, _MARGIN_UM)
-    if path is None:
-        return None
+def build_heuristic(
+    space: Space, potential: Potential, endgame: Endgame, exits: Exits
+) -> Heuristic:
+    """The heuristic toward the goal of a space, good for any start."""
+    path = search_body_path(space, potential, endgame)
     return Heuristic(
         path.cost_um,
         path.frontier_um,
-        body_cell,
+        (potential.body_row * space.cols + potential.body_col).reshape(-1),
         potential.potential_um.reshape(-1),
-        request.endgame.cost_um,
-        request.endgame.cap_um,
+        endgame.cost_um,
+        endgame.cap_um,
+        exits.turn_um,
+        np.zeros((space.cols * space.rows, SECTORS), np.int32),
+        exits.rim,
+        exits.radius_cells,
     )
+
+
+def _can_reach(space: Space, heuristic: Heuristic, nodes: Int64s) -> bool:
+    """Whether a path of the body leads to the goal from any of the nodes (n,)."""
+    rows, cells = nodes % (2 * space.headings), nodes // (2 * space.headings)
+    return bool(np.any(heuristic.cost_um[cells + heuristic.body_cell[rows]] > 0))
 
 
 def _new_tree(request: Request, seeds: Int64s) -> Tree:
@@ -161,10 +166,10 @@ class _Run:
     def result(self) -> Result:
         """Runs all rounds and reads the plan from the tree."""
         epsilon = self.options.epsilon
-        while self._round(epsilon) and epsilon > self.options.final_epsilon:
-            epsilon = max(self.options.final_epsilon, _next_epsilon(epsilon))
+        while self._round(epsilon):
+            epsilon = _next_epsilon(epsilon)
         expansions = int(self.tree.scalars[search.EXPANSIONS])
-        self._note_bound(math.inf)
+        self._note_bound()
         if self._best_um < search.NO_COST:
             return self._plan(expansions)
         if self._limit_reached():
@@ -187,7 +192,9 @@ class _Run:
         """One search with a weight; whether another one may follow."""
         space, heuristic = self.request.space, self.heuristic
         self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
-        self._note_bound(math.inf)
+        self._note_bound()
+        if self.proven <= self.options.final_epsilon:
+            return False
         while True:
             outcome = search.expand(space, heuristic, self.tree, epsilon, self._budget())
             if outcome == search.OUT_OF_ENTRIES:
@@ -199,20 +206,20 @@ class _Run:
                 if self.time_to_first_s == 0.0:
                     self.time_to_first_s = time.perf_counter() - self.began
                 if self.options.stop_at_first:
-                    self._note_bound(math.inf)
+                    self._note_bound()
                     return False
             elif outcome in (search.FINISHED, search.EXHAUSTED):
-                self._note_bound(epsilon)
+                if self._best_um < search.NO_COST and epsilon == 1.0:
+                    self.proven = 1.0
                 return self._best_um < search.NO_COST and self.proven > self.options.final_epsilon
             if self._limit_reached():
                 return False
 
-    def _note_bound(self, epsilon: float) -> None:
-        """Takes over what is proven: by a finished search, or by the least open g + h."""
+    def _note_bound(self) -> None:
+        """Takes over what the least g + h of all open states proves."""
         best = self._best_um
         if best < search.NO_COST:
-            by_open = max(1.0, best / min(best, max(self.least_um, 1)))
-            self.proven = min(self.proven, epsilon, by_open)
+            self.proven = min(self.proven, best / min(best, max(self.least_um, 1)))
 
     def _budget(self) -> int:
         left = self.options.max_expansions - int(self.tree.scalars[search.EXPANSIONS])
@@ -255,8 +262,8 @@ class _Run:
 
 
 def _next_epsilon(epsilon: float) -> float:
-    """The next weight: half of what is above 1, and 1 itself once that is little."""
-    return 1.0 + (epsilon - 1.0) / 2 if epsilon > 1.2 else 1.0
+    """The next weight: a quarter of what is above 1, and 1 itself once that is little."""
+    return 1.0 + (epsilon - 1.0) / 4 if epsilon > 2.0 else 1.0
 
 
 def _doubled(array: NDArray[np.int32]) -> NDArray[np.int32]:

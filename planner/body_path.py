@@ -16,42 +16,37 @@ from planner.space import Space, to_grid
 
 # Cost 0 means not reached, so costs are stored one micrometre up.
 _CLOSED_CELL = -1
+_NOWHERE_UM = 1 << 30
 
 
 class BodyPath(NamedTuple):
-    """Path costs (rows * cols,) in micrometres + 1; 0 where the search did not get to.
+    """Path costs (rows * cols,) in micrometres + 1; 0 or less where no path leads.
 
-    frontier_um: no cell that the search did not get to costs less.
+    frontier_um: the cost that cells without a path count as.
     """
 
     cost_um: NDArray[np.int32]
     frontier_um: int
 
 
-def search_body_path(
-    space: Space, guide: Potential, endgame: Endgame, targets: NDArray[np.int64], margin_um: int
-) -> BodyPath | None:
-    """Path costs of the body's cells to the goal; None if no target cell (n,) has a path.
+def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPath:
+    """Path costs of the body's cells to the goal, over the whole map.
 
     The larger of two bounds: the cost of the path to the goal's cell, and outside the ring of the
-    endgame the least cost of a path to a cell of the ring plus what is exact from there. Each goes
-    on for margin_um after the first target, for cells behind the start.
+    endgame the least cost of a path to a cell of the ring plus what is exact from there.
     """
-    is_target = np.zeros(space.cols * space.rows, np.bool_)
-    is_target[targets] = True
     d_cell = MOVES[:, 1] * space.cols + MOVES[:, 0]
     goal = space.origin_row * space.cols + space.origin_col
-    rules = d_cell, guide.move_um, guide.reach_m, margin_um
+    rules = d_cell, guide.move_um, guide.reach_m
     cost_um = np.zeros(space.cols * space.rows, np.int32)
-    frontier_um = _spread(space, cost_um, is_target, np.array([goal]), np.array([0]), *rules)
-    if not np.any(cost_um[targets] > 0):
-        return None
+    _spread(space, cost_um, np.array([goal]), np.array([0]), *rules)
     cells, costs_um = _ring_on_map(space, endgame)
     if len(cells):
-        ring_um = np.zeros(space.cols * space.rows, np.int32)
-        ring_frontier_um = _spread(space, ring_um, is_target, cells, costs_um, *rules)
-        _raise_outside(space, cost_um, frontier_um, ring_um, ring_frontier_um, endgame.inside)
-    return BodyPath(cost_um, int(frontier_um))
+        # Cells that are shut are known by now.
+        ring_um = np.where(cost_um == _CLOSED_CELL, cost_um, np.int32(0))
+        _spread(space, ring_um, cells, costs_um, *rules)
+        _raise_outside(space, cost_um, ring_um, endgame.inside)
+    return BodyPath(cost_um, _NOWHERE_UM)
 
 
 def _ring_on_map(space: Space, endgame: Endgame) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -66,23 +61,19 @@ def _ring_on_map(space: Space, endgame: Endgame) -> tuple[NDArray[np.int64], NDA
 def _raise_outside(
     space: Space,
     cost_um: NDArray[np.int32],
-    frontier_um: int,
     ring_um: NDArray[np.int32],
-    ring_frontier_um: int,
     inside: NDArray[np.bool_],
 ) -> None:
     """Raises costs outside the ring to those by way of the ring."""
     reach = len(inside) // 2
-    for cell in range(len(cost_um)):
-        row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
-        if abs(row) <= reach and abs(col) <= reach and inside[row + reach, col + reach]:
-            continue
-        if cost_um[cell] == _CLOSED_CELL or cost_um[cell] == 0:
-            continue
-        by_ring = ring_um[cell]
-        if by_ring == 0 or by_ring - 1 > ring_frontier_um:
-            by_ring = ring_frontier_um + 1
-        cost_um[cell] = max(min(cost_um[cell], frontier_um + 1), by_ring)
+    for row in range(space.rows):
+        up = row - space.origin_row + reach
+        for col in range(space.cols):
+            cell, across = row * space.cols + col, col - space.origin_col + reach
+            if 0 <= up <= 2 * reach and 0 <= across <= 2 * reach and inside[up, across]:
+                continue
+            if cost_um[cell] > 0:
+                cost_um[cell] = max(cost_um[cell], ring_um[cell])
 
 
 @njit(cache=True)
@@ -123,39 +114,32 @@ def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
 def _spread(
     space: Space,
     cost_um: NDArray[np.int32],
-    is_target: NDArray[np.bool_],
     seeds: NDArray[np.int64],
     seed_um: NDArray[np.int64],
     d_cell: NDArray[np.int64],
     move_um: NDArray[np.int64],
     reach_m: float,
-    margin_um: int,
-) -> int:
+) -> None:
     """Dijkstra's search with a ring of buckets, one least move wide.
 
-    Within a bucket no cell can lower another, so each bucket is done in any order. Returns the
-    cost below which all cells are final.
+    Within a bucket no cell can lower another, so each bucket is done in any order.
     """
     width = move_um.min()
-    ring = int(move_um.max() // width) + 2
-    ring += int((seed_um.max() - seed_um.min()) // width)
+    ring = int(move_um.max() // width) + 2 + int((seed_um.max() - seed_um.min()) // width)
     head = np.full(ring, -1, np.int64)
     after = np.empty(1 << 16, np.int64)
     cells = np.empty(1 << 16, np.int64)
-    used, waiting = 0, 0
+    used = 0
     bucket = seed_um.min() // width
     for i in range(len(seeds)):
-        if _cell_shut(space, seeds[i], reach_m):
+        if cost_um[seeds[i]] == _CLOSED_CELL or _cell_shut(space, seeds[i], reach_m):
             continue
         cost_um[seeds[i]] = seed_um[i] + 1
         slot = seed_um[i] // width % ring
         cells[used], after[used], head[slot] = seeds[i], head[slot], used
         used += 1
-        waiting += 1
-    stop = 1 << 30
+    waiting = used
     while waiting > 0:
-        if bucket * width > stop:
-            return bucket * width
         entry = head[bucket % ring]
         head[bucket % ring] = -1
         while entry >= 0:
@@ -165,8 +149,6 @@ def _spread(
             here = cost_um[cell] - 1
             if here // width != bucket:
                 continue
-            if is_target[cell] and stop == 1 << 30:
-                stop = here + margin_um
             for move in range(len(d_cell)):
                 near = cell + d_cell[move]
                 there = here + move_um[move] + 1
@@ -185,4 +167,3 @@ def _spread(
                 used += 1
                 waiting += 1
         bucket += 1
-    return 1 << 30

@@ -18,7 +18,7 @@ from planner.guide import Potential
 from planner.lattice import IntArray, StepTable, final_cost_um
 from planner.model import StepModel
 
-_RADIUS_CELLS = 60
+_RADIUS_CELLS = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,12 +45,12 @@ def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endga
     reach = _RADIUS_CELLS + 2 * hop
     size = 2 * reach + 1
     cost_um = np.full((size, size, 2 * model.headings), cap_um, np.int32)
-    _fill(cost_um.reshape(-1), size, _backward_steps(table), final_cost_um(model), cap_um)
+    _fill(cost_um.reshape(-1), size, backward_steps(table), final_cost_um(model), cap_um)
     body_um = _body_costs(cost_um, guide, reach)
     level_um = cap_um - int(guide.potential_um.max()) - 1
     inside = body_um <= level_um
     # A step moves the body's cell by at most so many cells along either axis.
-    longest = _longest_move(table, guide)
+    longest = longest_move(table, guide)
     square = np.ones((2 * longest + 1, 2 * longest + 1), np.uint8)
     near_outside = cv2.dilate((~inside).astype(np.uint8), square) > 0
     row, col = np.nonzero(inside & near_outside)
@@ -62,7 +62,8 @@ def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endga
     )
 
 
-def _longest_move(table: StepTable, guide: Potential) -> int:
+def longest_move(table: StepTable, guide: Potential) -> int:
+    """By how many cells along an axis a step moves the body's cell at most."""
     index = np.indices(table.cost_um.shape)
     heading, side = index[0], index[1]
     to_heading = (heading + table.d_heading) % len(guide.body_col)
@@ -73,7 +74,7 @@ def _longest_move(table: StepTable, guide: Potential) -> int:
     return longest
 
 
-def _backward_steps(table: StepTable) -> IntArray:
+def backward_steps(table: StepTable) -> IntArray:
     """Steps (2 H, K, 4) that end in a row (heading * 2 + side): from row, d_col, d_row, cost."""
     headings, _, most = table.cost_um.shape
     steps = np.zeros((2 * headings, most, 4), np.int64)

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.exits import exit_bound
 from planner.space import (
     BLOCKED,
     COST_UM,
@@ -48,7 +49,10 @@ NO_COST = 1 << 40
 
 
 class Heuristic(NamedTuple):
-    """The heuristic as the search reads it: see `guide.py` and `endgame.py`."""
+    """The heuristic as the search reads it: see `guide.py`, `endgame.py` and `exits.py`.
+
+    detour_um (cells, SECTORS): filled in as the search goes on.
+    """
 
     cost_um: NDArray[np.int32]
     frontier_um: int
@@ -56,6 +60,10 @@ class Heuristic(NamedTuple):
     potential_um: NDArray[np.int64]
     endgame_um: NDArray[np.int32]
     cap_um: int
+    turn_um: NDArray[np.int64]
+    detour_um: NDArray[np.int32]
+    rim: NDArray[np.int64]
+    radius_cells: int
 
 
 class Tree(NamedTuple):
@@ -82,7 +90,8 @@ class Tree(NamedTuple):
 def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     """Cost in micrometres that no way from a node to the end of a plan falls below."""
     row, cell = node % (2 * space.headings), node // (2 * space.headings)
-    path = heuristic.cost_um[cell + heuristic.body_cell[row]] - 1
+    body = cell + heuristic.body_cell[row]
+    path = heuristic.cost_um[body] - 1
     if path < 0 or path > heuristic.frontier_um:
         path = heuristic.frontier_um
     endgame_um = heuristic.endgame_um
@@ -92,7 +101,17 @@ def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     exact = heuristic.cap_um
     if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
         exact = endgame_um[up, col, row]
-    return max(path + heuristic.potential_um[row], exact)
+    least = exit_bound(
+        heuristic.detour_um,
+        heuristic.turn_um,
+        heuristic.cost_um,
+        heuristic.frontier_um,
+        heuristic.rim,
+        (heuristic.radius_cells, space.cols, space.origin_col, space.origin_row),
+        body,
+        row,
+    )
+    return max(path + heuristic.potential_um[row], exact, least)
 
 
 @njit(cache=True)
@@ -232,6 +251,8 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
     endgame_um = heuristic.endgame_um
+    detour_um, turn_um, rim = heuristic.detour_um, heuristic.turn_um, heuristic.rim
+    circle = heuristic.radius_cells, space.cols, space.origin_col, space.origin_row
     body_radius_m = np.sqrt(space.body[0] ** 2 + space.body[1] ** 2) + 1e-6
     round_now = scalars[ROUND]
     here = np.int64(cost_um[node])
@@ -256,7 +277,8 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
         if state == BLOCKED:
             continue
         to_row = steps[row, k, TO_ROW]
-        path: int = np.int64(path_um[cell + steps[row, k, D_CELL] + body_cell[to_row]]) - 1  # type: ignore[assignment]
+        body = cell + steps[row, k, D_CELL] + body_cell[to_row]
+        path: int = np.int64(path_um[body]) - 1  # type: ignore[assignment]
         if path < 0 or path > frontier_um:
             path = frontier_um
         value = path + potential_um[to_row]
@@ -265,6 +287,11 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
             value = max(value, endgame_um[up, col, to_row])
         else:
             value = max(value, heuristic.cap_um)
+        if cost + value >= scalars[BEST_UM]:
+            continue
+        value = max(
+            value, exit_bound(detour_um, turn_um, path_um, frontier_um, rim, circle, body, to_row)
+        )
         if cost + value >= scalars[BEST_UM]:
             continue
         half = half_base + steps[row, k, D_HALF]
