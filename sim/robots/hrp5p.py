@@ -84,7 +84,7 @@ _PELVIS = (9.8635, (-0.03447, 0, 0.17892), (113.27, 135.97, 110.72, 0, -6.93, 0)
 _UPPER_BODY = (56.3365, (-0.00519, 0, 0.47800), (4026.8, 3393.4, 2404.7, 0, -448.3, 0))
 
 # Held arms: shoulder pitch and elbow as in MJLAB's half-sitting. Its arms are spread by 20 degrees;
-# ours hang at 4, which makes the robot 0.62 m wide instead of 0.86.
+# ours hang at 4, which makes the robot 0.62 m wide instead of 0.78.
 SHOULDER_PITCH_DEG, SHOULDER_SPREAD_DEG, ELBOW_DEG = 60.0, 4.0, -105.0
 # WRS: where the frames of the upper body lie, those of the chest and shoulder in the pelvis, then
 # each in the one before. The wrist's frame is turned on by as much as its forearm.
