@@ -20,7 +20,7 @@ class PlannerOptions:
     """
 
     name: str = "ara"
-    epsilon: float = 1.5
+    epsilon: float = 1.2
     final_epsilon: float = 1.0
     max_expansions: int = 3_000_000
     time_limit_s: float | None = None
