@@ -1,0 +1,166 @@
+"""Unitree G1: 33.3 kg, 1.32 m, 12 leg joints; arms and waist held fixed. Needs extra `unitree`.
+
+Masses, inertias, axes, joint ranges, torque limits, rotor inertia and friction are those of the
+model `unitree_g1` of MuJoCo Menagerie; speed limits those of Unitree's own description of the
+robot (unitreerobotics/unitree_ros at 1ab5f1e, g1_29dof_rev_1_0.urdf). Ours are the servo gains (those of
+JVRC-1 by the mass), half-sitting, the capsules and boxes, estimated from the bounds of the meshes
+and the contact points of the model's feet, and what the planner is told.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from sim.menagerie import EXTRA, PACKAGE, add_menagerie_meshes, load
+from sim.robot import (
+    LEFT_LEG_BITS,
+    RIGHT_LEG_BITS,
+    UPPER_BODY_BITS,
+    GaitTiming,
+    LegJoint,
+    Robot,
+)
+from sim.solids import Box, Rod, Solid, add_shape
+
+if TYPE_CHECKING:
+    import mujoco
+
+MODEL = "unitree_g1/g1.xml"
+RENAMED = {"left_hip_pitch_link": "left_leg", "right_hip_pitch_link": "right_leg"}
+FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.18, 0.07, 0.02
+SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.035, 0.035
+
+# name, kp, kd, torque limit, speed limit, armature, half-sitting (deg), mirror sign
+_LEG = (
+    ("hip_pitch", 110, 11, 88, 32, 0.01, -18, 1),
+    ("hip_roll", 110, 11, 139, 20, 0.01, 0, -1),
+    ("hip_yaw", 110, 11, 88, 32, 0.01, 0, -1),
+    ("knee", 135, 13.5, 139, 20, 0.01, 38, 1),
+    ("ankle_pitch", 45, 4.5, 50, 30, 0.01, -20, 1),
+    ("ankle_roll", 45, 4.5, 50, 30, 0.01, 0, -1),
+)
+# At 0 the upper arms hang and the forearms point forward.
+ARM_POSE_RAD = {
+    "left_shoulder_pitch_joint": 0.2,
+    "right_shoulder_pitch_joint": 0.2,
+    "left_shoulder_roll_joint": 0.10,
+    "right_shoulder_roll_joint": -0.10,
+    "left_elbow_joint": 1.0,
+    "right_elbow_joint": 1.0,
+}
+
+_LEG_SHAPES: dict[str, dict[str, Solid]] = {
+    "hip_yaw_link": {
+        "thigh": Rod(ends=((-0.02, 0, 0.02), (-0.075, 0, -0.16)), radius=0.05, is_round=True)
+    },
+    "knee_link": {
+        "shank": Rod(ends=((0.01, 0, -0.03), (0, 0, -0.25)), radius=0.037, is_round=True)
+    },
+    "ankle_roll_link": {
+        "foot": Box(
+            centre=(SOLE_CENTRE_X_M, 0, SOLE_THICKNESS_M / 2 - ANKLE_HEIGHT_M),
+            size=(FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M),
+        )
+    },
+}
+_ARM_SHAPES: dict[str, dict[str, Solid]] = {
+    "shoulder_yaw_link": {
+        "upper_arm": Rod(ends=((0, 0, 0.09), (0.01, 0, -0.07)), radius=0.042, is_round=True)
+    },
+    "elbow_link": {
+        "forearm": Rod(ends=((0, 0, -0.01), (0.32, 0, -0.01)), radius=0.042, is_round=True)
+    },
+}
+_BODY_SHAPES: dict[str, dict[str, Solid]] = {
+    "pelvis": {"hips": Rod(ends=((0, -0.06, -0.08), (0, 0.06, -0.08)), radius=0.07, is_round=True)},
+    "torso_link": {
+        "torso": Box(centre=(0.008, 0, 0.14), size=(0.155, 0.22, 0.30)),
+        "skull": Rod(ends=((0.008, 0, 0.36), (0.008, 0, 0.407)), radius=0.08, is_round=True),
+    },
+}
+
+# Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
+STEPS = (
+    *((x, 0.24, 0.0) for x in (-0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.20)),
+    *((x, 0.29, 0.0) for x in (-0.05, 0.0, 0.10)),
+    *((x, 0.25, 0.3) for x in (-0.05, 0.0, 0.10, 0.15)),
+    *((x, 0.25, 0.15) for x in (0.0, 0.10, 0.20)),
+    *((x, 0.24, -0.15) for x in (0.0, 0.10, 0.15)),
+)
+
+
+def _joints() -> tuple[LegJoint, ...]:
+    return tuple(
+        LegJoint(
+            name=f"{side}_{name}_joint",
+            kp=kp,
+            kd=kd,
+            torque_limit_nm=torque,
+            speed_limit_rad_s=speed,
+            armature_kg_m2=armature,
+            half_sitting_rad=math.radians(angle_deg),
+            mirror_sign=sign,
+        )
+        for side in ("left", "right")
+        for name, kp, kd, torque, speed, armature, angle_deg, sign in _LEG
+    )
+
+
+def build() -> mujoco.MjSpec:
+    """The model: bodies and joints from Menagerie, collision shapes of our own."""
+    spec = load(
+        MODEL,
+        renamed=RENAMED,
+        joints=[joint.name for joint in _joints()],
+        held_rad=ARM_POSE_RAD,
+    )
+    for side, bits in (("left", LEFT_LEG_BITS), ("right", RIGHT_LEG_BITS)):
+        for table, of in ((_LEG_SHAPES, bits), (_ARM_SHAPES, UPPER_BODY_BITS)):
+            for body, shapes in table.items():
+                for name, shape in shapes.items():
+                    add_shape(spec.body(f"{side}_{body}"), f"{side}_{name}", shape, of)
+        foot = spec.body(f"{side}_ankle_roll_link")
+        foot.add_site(name=f"{side}_sole", pos=[SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M])
+    for body, shapes in _BODY_SHAPES.items():
+        for name, shape in shapes.items():
+            add_shape(spec.body(body), name, shape, UPPER_BODY_BITS)
+    spec.body("torso_link").add_site(name="head", pos=[0.008, 0, 0.40])
+    return spec
+
+
+def add_meshes(spec: mujoco.MjSpec) -> None:
+    """Dresses the model in its meshes."""
+    colours = {"black": (0.16, 0.17, 0.19, 1.0), "metal": (0.82, 0.83, 0.85, 1.0)}
+    add_menagerie_meshes(spec, MODEL, renamed=RENAMED, colours=colours)
+
+
+ROBOT = Robot(
+    name="g1",
+    title="Unitree G1",
+    step_model=StepModel(
+        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        body=BodyShape(length_m=0.40, width_m=0.50),
+        limits=StepLimits(x_m=(-0.14, 0.24), y_m=(0.19, 0.34), yaw_rad=(-0.2, 0.4)),
+        steps=STEPS,
+        stance_width_m=0.24,
+        turn_cost_m=0.05,
+        side_cost_m=0.2,
+        back_cost_m=0.2,
+        clearance_m=0.25,
+        clearance_cost_m=0.25,
+        foot_margin_m=0.03,
+        body_margin_m=0.06,
+    ),
+    gait=GaitTiming(single_support_s=0.65, double_support_s=0.3),
+    joints=_joints(),
+    mass_kg=33.34,
+    height_m=1.32,
+    pelvis_height_m=0.757,
+    pelvis_pitch_rad=0.0,
+    fallen_height_m=0.56,
+    build=build,
+    needs=(PACKAGE, EXTRA),
+    add_meshes=add_meshes,
+)
