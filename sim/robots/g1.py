@@ -2,9 +2,9 @@
 
 Masses, inertias, axes, joint ranges, torque limits, rotor inertia and friction are those of the
 model `unitree_g1` of MuJoCo Menagerie; speed limits those of Unitree's own description of the
-robot (unitreerobotics/unitree_ros at 1ab5f1e, g1_29dof_rev_1_0.urdf). Ours are the servo gains (those of
-JVRC-1 by the mass), half-sitting, the capsules and boxes, estimated from the bounds of the meshes
-and the contact points of the model's feet, and what the planner is told.
+robot (unitreerobotics/unitree_ros at 1ab5f1e, g1_29dof_rev_1_0.urdf). Ours are the servo gains
+(those of JVRC-1 by the mass), half-sitting, the capsules and boxes, estimated from the bounds of
+the meshes and the contact points of the model's feet, and what the planner is told.
 """
 
 from __future__ import annotations
