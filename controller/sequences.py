@@ -24,53 +24,64 @@ def _straight(rng: np.random.Generator, limits: StepLimits, low_m: float, high_m
     return lambda outer: (length_m, width_m, 0.0)
 
 
-def _forward(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _forward(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     return _straight(rng, limits, 0.08, limits.x_m[1])
 
 
-def _backward(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _backward(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     return _straight(rng, limits, limits.x_m[0], -0.05)
 
 
-def _in_place(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _in_place(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     return _straight(rng, limits, 0.0, 0.0)
 
 
-def _sideways(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _sideways(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     width_m = _stance_width(rng, limits)
     out_m = rng.uniform(0.03, max(0.03, limits.y_m[1] - width_m))
     return lambda outer: (0.0, width_m + out_m if outer else width_m, 0.0)
 
 
-def _curved(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _curved(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     length_m, width_m = rng.uniform(0.05, 0.3), _stance_width(rng, limits)
     out_rad, in_rad = rng.uniform(0.05, limits.yaw_rad[1]), rng.uniform(0.0, 0.1)
     return lambda outer: (length_m, width_m, out_rad if outer else -in_rad)
 
 
-def _turning(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _turning(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     width_m, out_rad = _stance_width(rng, limits), rng.uniform(0.1, limits.yaw_rad[1])
     back_rad = rng.choice([0.0, min(0.5 * out_rad, -limits.yaw_rad[0])])
     return lambda outer: (0.0, width_m, out_rad if outer else -back_rad)
 
 
-def _diagonal(rng: np.random.Generator, limits: StepLimits) -> Draw:
+def _diagonal(rng: np.random.Generator, model: StepModel) -> Draw:
+    limits = model.limits
     length_m = rng.uniform(0.6 * limits.x_m[0], 0.7 * limits.x_m[1])
     width_m = _stance_width(rng, limits)
     out_m = rng.uniform(0.03, max(0.03, 0.8 * (limits.y_m[1] - width_m)))
     return lambda outer: (length_m, width_m + out_m if outer else width_m, 0.0)
 
 
-def _arbitrary(rng: np.random.Generator, limits: StepLimits) -> Draw:
-    """Every step anew, from within an ellipsoid that fits the limits."""
+def _arbitrary(rng: np.random.Generator, model: StepModel) -> Draw:
+    """Every step anew: anywhere within the limits, or near a step of the planner's set.
+
+    Plans mix steps of all kinds, and a robot that knows each kind but not the change from one to
+    the next falls there.
+    """
+    low, high = _bounds(model.limits)
 
     def draw(outer: bool) -> tuple[float, float, float]:
-        direction = rng.normal(size=3)
-        inner = direction / np.linalg.norm(direction) * rng.uniform() ** (1 / 3)
-        bounds = np.array([limits.x_m, limits.y_m, limits.yaw_rad])
-        centre = np.array([0.0, limits.y_m[0] + 0.04, 0.0])
-        reach = np.where(inner > 0, bounds[:, 1] - centre, centre - bounds[:, 0])
-        x, y, yaw = centre + inner * reach
+        step = rng.uniform(low, high)
+        if rng.uniform() < 0.5:
+            near = rng.normal(model.steps[rng.integers(len(model.steps))], (0.03, 0.02, 0.06))
+            step = np.clip(near, low, high)
+        x, y, yaw = step
         return float(x), float(y), float(yaw)
 
     return draw
@@ -80,7 +91,7 @@ def _stance_width(rng: np.random.Generator, limits: StepLimits) -> float:
     return rng.uniform(limits.y_m[0] + 0.01, limits.y_m[0] + 0.08)
 
 
-MODES: Mapping[str, Callable[[np.random.Generator, StepLimits], Draw]] = {
+MODES: Mapping[str, Callable[[np.random.Generator, StepModel], Draw]] = {
     "forward": _forward,
     "backward": _backward,
     "sideways": _sideways,
@@ -92,14 +103,14 @@ MODES: Mapping[str, Callable[[np.random.Generator, StepLimits], Draw]] = {
 }
 # How often each mode is drawn in training; the rest of the episodes only stand.
 MODE_SHARES: Mapping[str, float] = {
-    "forward": 0.18,
-    "backward": 0.10,
-    "sideways": 0.14,
-    "curved": 0.16,
-    "turning": 0.12,
+    "forward": 0.14,
+    "backward": 0.08,
+    "sideways": 0.12,
+    "curved": 0.12,
+    "turning": 0.10,
     "in_place": 0.04,
     "diagonal": 0.06,
-    "arbitrary": 0.16,
+    "arbitrary": 0.30,
 }
 
 
@@ -135,14 +146,13 @@ def draw_track(
 
     The mode `standing` gives a track without steps. The last step sets the feet side by side.
     """
-    limits = model.limits
     relative: list[tuple[float, float, float]] = []
     first, outer_side = Side(int(rng.integers(2))), int(rng.integers(2))
     if mode == "standing" or (mode is None and rng.uniform() > sum(MODE_SHARES.values())):
         steps = 0
     while len(relative) < steps - 1:
         name = mode or str(rng.choice(list(MODE_SHARES), p=_shares()))
-        draw = MODES[name](rng, limits)
+        draw = MODES[name](rng, model)
         for _ in range(steps if mode else int(rng.integers(2, 9))):
             outer = (int(first) + len(relative)) % 2 == outer_side
             relative.append(draw(outer))
@@ -151,9 +161,15 @@ def draw_track(
     if steps:
         relative.append((0.0, model.stance_width_m, 0.0))
     drawn = np.array(relative).reshape(-1, 3)
-    low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T
+    low, high = _bounds(model.limits)
     side, poses = chain_steps(start_feet_world, first, np.clip(drawn, low, high))
     return Track.of(start_feet_world, side, poses)
+
+
+def _bounds(limits: StepLimits) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest (x, y, yaw) of a step."""
+    low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T
+    return low, high
 
 
 def _shares() -> np.ndarray:

@@ -216,7 +216,7 @@ ROBOT = Robot(
     step_model=StepModel(
         foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
         body=BodyShape(length_m=0.40, width_m=0.62),
-        limits=StepLimits(x_m=(-0.20, 0.35), y_m=(0.16, 0.36), yaw_rad=(-0.2, 0.4)),
+        limits=StepLimits(x_m=(-0.20, 0.35), y_m=(0.16, 0.34), yaw_rad=(-0.2, 0.4)),
         steps=STEPS,
         stance_width_m=0.20,
         turn_cost_m=0.05,
@@ -225,7 +225,7 @@ ROBOT = Robot(
         clearance_m=0.25,
         clearance_cost_m=0.25,
         foot_margin_m=0.03,
-        body_margin_m=0.08,
+        body_margin_m=0.09,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
     joints=_joints(),
