@@ -225,7 +225,7 @@ ROBOT = Robot(
         clearance_m=0.25,
         clearance_cost_m=0.25,
         foot_margin_m=0.03,
-        body_margin_m=0.09,
+        body_margin_m=0.11,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
     joints=_joints(),
