@@ -63,6 +63,12 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             run="app.plan:run",
             example="plan --map maps/room.png --goal 2,1,1.57 --image plan.png",
         ),
+        "serve": Command(
+            summary="open a web page: click a goal and watch the robot walk there",
+            options="app.serve_options:ServeOptions",
+            run="app.serve:run",
+            example="serve --map maps/room.png",
+        ),
         "train": Command(
             summary="train the policy that walks",
             options="app.train_options:TrainOptions",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +13,14 @@ from app.errors import as_bad_input
 from app.inputs import find_robot, read_grid
 from app.navigate_options import NavigateOptions
 from app.navigator import Navigator, NavigatorConfig, scene_of
+from app.options import Pose
 from app.output import PICTURE_ENDINGS, make_folder, require_writable, write_text
 from app.path_picture import write_path_picture
 from app.progress import ProgressBar, say
 from app.rendering import FOLLOW, Recording
 from app.report import FootError, NavigationReport, Outcome, PolicyFile, installed_versions
 from controller.gait import CONTROL_PERIOD_S
-from controller.policy import POLICY_FOLDER, PolicyError, load_policy
+from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
@@ -34,6 +36,37 @@ def run(options: NavigateOptions) -> int:
     with as_bad_input(PolicyError):
         policy = load_policy(robot, policy_path)
     _check_outputs(options)
+    with ExitStack() as stack:
+        if options.view:
+            from app.page.view import viewed
+
+            navigator = stack.enter_context(viewed(options, grid, robot, policy))
+            # Who watches may have sent the robot somewhere else.
+            options = dataclasses.replace(options, goal=Pose(*navigator.goal))
+        else:
+            navigator = walked(options, grid, robot, policy)
+        plan = dataclasses.replace(
+            navigator.plans[0],
+            robot=robot.name,
+            map=str(options.map),
+            start=options.start,
+            goal=options.goal,
+        )
+        report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
+        _write(options, navigator, plan, report)
+        print(report.to_json() if options.json else report.summary() + "\n", end="", flush=True)
+        if report.outcome is not Outcome.REACHED:
+            say(f"{report.outcome}: {report.reason}")
+        if not options.json:
+            say(f"written to {options.out}: report.json, plan.json, path.png")
+        _draw(options, grid, robot, navigator)
+    return report.outcome.exit_code
+
+
+def walked(
+    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
+) -> Navigator:
+    """A walk from plan to end, showing how many steps are done."""
     navigator = Navigator(
         grid,
         robot,
@@ -43,31 +76,12 @@ def run(options: NavigateOptions) -> int:
         seed=options.seed,
         config=NavigatorConfig(planner=PlannerOptions(unknown_is_free=options.unknown_is_free)),
     )
-    plan = dataclasses.replace(
-        navigator.plan(),
-        robot=robot.name,
-        map=str(options.map),
-        start=options.start,
-        goal=options.goal,
-    )
-    walk(navigator, plan)
-    report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
-    _write(options, navigator, plan, report)
-    print(report.to_json() if options.json else report.summary() + "\n", end="")
-    if report.outcome is not Outcome.REACHED:
-        say(f"{report.outcome}: {report.reason}")
-    if not options.json:
-        say(f"written to {options.out}: report.json, plan.json, path.png")
-    _draw(options, grid, robot, navigator)
-    return report.outcome.exit_code
-
-
-def walk(navigator: Navigator, plan: FootstepPlan) -> None:
-    """Let the navigator walk to its end, showing how many steps are done."""
+    plan = navigator.plan()
     with ProgressBar("walking, steps", len(plan)) as bar:
         while navigator.outcome is None:
             navigator.tick()
             bar.update(min(len(navigator.placed), len(plan)))
+    return navigator
 
 
 def report_of(

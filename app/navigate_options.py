@@ -40,6 +40,9 @@ class NavigateOptions(MapOptions):
     out: FolderOption = Path("runs/navigate")
     """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
 
+    view: bool = False
+    """Show the walk live on a web page, for this machine alone, and report when it is over."""
+
     html: OptionalFile = None
     """Also write the walk as a web page to watch, such as walk.html; opens from disk."""
 

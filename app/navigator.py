@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -66,6 +67,16 @@ class Placed:
         return abs(float(wrap_angle(self.placed_world[3] - self.asked_world[3])))
 
 
+class PlansSteps(Protocol):
+    """What the navigator asks for plans; `planner.api.Planner` is one."""
+
+    def plan(
+        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+    ) -> FootstepPlan:
+        """A plan from both feet (2, 4) as they stand to a pair pose, as `Planner.plan` makes it."""
+        ...
+
+
 class Navigator:
     """One robot on its way to a goal: `plan()` once, then `tick()` until `outcome` is set.
 
@@ -83,6 +94,7 @@ class Navigator:
         goal: Sequence[float],
         seed: int = 0,
         config: NavigatorConfig | None = None,
+        planner: PlansSteps | None = None,
     ):
         self.config = config or NavigatorConfig()
         self.grid, self.robot, self.policy = grid, robot, policy
@@ -90,7 +102,7 @@ class Navigator:
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
         self.walker = Walker(self.scene, threads=1)
-        self._planner = Planner(grid, robot.step_model, self.config.planner)
+        self._planner = planner or Planner(grid, robot.step_model, self.config.planner)
         qpos = self.scene.qpos_at(np.array(self.start))
         self._start_feet = self.scene.soles_at(qpos)
         noise = np.random.default_rng(seed).uniform(-1, 1, len(robot.joints))

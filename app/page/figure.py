@@ -28,6 +28,11 @@ class Figure:
                     side="double",
                 )
 
+    @property
+    def length(self) -> int:
+        """How many numbers a state of this robot has."""
+        return int(self._look.model.nq)
+
     def pose(self, qpos: np.ndarray) -> None:
         """Puts every body where it is at qpos (nq,)."""
         positions, quaternions = self._look.poses(qpos)

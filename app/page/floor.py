@@ -23,7 +23,9 @@ _FIELD_OF_VIEW_RAD = math.radians(50)
 
 
 def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
-    """Draws the map once, in place of any map drawn before; returns the floor, to be clicked on.
+    """Draws the map; returns a slab of the size of the floor, to be clicked on.
+
+    The slab lies out of sight below the floor, because browsers colour what the pointer is on.
 
     Everything hangs below the node `/map`, which is the grid frame: metres from the lower-left
     corner of the map.
@@ -32,13 +34,14 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     width_m, height_m = grid.size_m
     scene.add_frame("/map", show_axes=False, position=(x_m, y_m, 0.0), wxyz=turned(yaw_rad))
     centre = (width_m / 2, height_m / 2)
-    floor = scene.add_box(
-        "/map/floor",
-        color=FLOOR_RGB,
-        dimensions=(width_m, height_m, _FLOOR_THICKNESS_M),
-        position=(*centre, -_FLOOR_THICKNESS_M / 2),
-        cast_shadow=False,
-    )
+    for name, size_m, depth_m in (("floor", 1.0, 0.5), ("slab", 0.99, 2.0)):
+        slab = scene.add_box(
+            f"/map/{name}",
+            color=FLOOR_RGB,
+            dimensions=(size_m * width_m, size_m * height_m, _FLOOR_THICKNESS_M),
+            position=(*centre, -depth_m * _FLOOR_THICKNESS_M),
+            cast_shadow=False,
+        )
     scene.add_grid(
         "/map/lines",
         width=width_m,
@@ -54,7 +57,7 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     )
     _add_boxes(scene, "/map/walls", grid, Cell.OCCUPIED, WALL_HEIGHT_M, WALL_RGB)
     _add_boxes(scene, "/map/unknown", grid, Cell.UNKNOWN, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB)
-    return floor
+    return slab
 
 
 def _add_boxes(
@@ -80,11 +83,15 @@ def _add_boxes(
     )
 
 
-def aim_camera(camera: viser.InitialCameraConfig, grid: OccupancyGrid) -> None:
-    """Lets pages that open see the whole map from the south, above."""
+def aim_camera(
+    camera: viser.InitialCameraConfig, grid: OccupancyGrid, *, beside_panel: bool = False
+) -> None:
+    """Lets pages that open see the whole map from the south, above; the panel is on the right."""
     x0, y0, x1, y1 = grid.bounds_world()
     centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
     far_m = max(x1 - x0, 1.4 * (y1 - y0), 3.0)
+    if beside_panel:
+        centre_x += 0.14 * far_m
     camera.position = (centre_x, centre_y - 0.65 * far_m, 0.75 * far_m)
     camera.look_at = (centre_x, centre_y, 0.0)
     camera.fov = _FIELD_OF_VIEW_RAD

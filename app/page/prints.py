@@ -125,19 +125,26 @@ class _Sheet:
         )
 
 
-def show_goal(scene: viser.SceneApi, goal: Sequence[float], rgb: Rgb = GOAL_RGB) -> None:
-    """Draws an arrow on the floor at the pose x_m, y_m, yaw_rad, in place of the one before."""
-    x_m, y_m, yaw_rad = goal
-    scene.add_arrows(
-        "/goal",
-        points=np.array([[[-0.05, 0, 0.0], [0.4, 0, 0.0]]], np.float32),
-        colors=rgb,
-        shaft_radius=0.025,
-        head_radius=0.07,
-        head_length=0.14,
-        position=(x_m, y_m, 0.04),
-        wxyz=turned(yaw_rad),
-    )
+class Marker:
+    """An arrow on the floor that stands for a pose."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, rgb: Rgb = GOAL_RGB) -> None:
+        self._arrow = scene.add_arrows(
+            name,
+            points=np.array([[[-0.05, 0, 0.0], [0.4, 0, 0.0]]], np.float32),
+            colors=rgb,
+            shaft_radius=0.025,
+            head_radius=0.07,
+            head_length=0.14,
+            visible=False,
+        )
+
+    def show(self, pose: Sequence[float] | None) -> None:
+        """Puts it at the pose x_m, y_m, yaw_rad; None hides it."""
+        self._arrow.visible = pose is not None
+        if pose is not None:
+            self._arrow.position = (pose[0], pose[1], 0.04)
+            self._arrow.wxyz = turned(pose[2])
 
 
 def _mixed(rgb: Rgb, paleness: float) -> Rgb:

@@ -13,7 +13,7 @@ from app.output import write_text
 from app.page.bodies import look_of
 from app.page.figure import Figure
 from app.page.floor import add_floor, aim_camera
-from app.page.prints import Prints, show_goal
+from app.page.prints import Marker, Prints
 from app.page.server import open_server
 from app.progress import ProgressBar
 from app.rendering import Recording
@@ -47,7 +47,7 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
         # Before the recording begins: what comes later moves the camera while the walk plays.
         aim_camera(server.initial_camera, grid)
         add_floor(server.scene, grid)
-        show_goal(server.scene, story.goal)
+        Marker(server.scene, "/goal").show(story.goal)
         prints = Prints(server.scene, robot.step_model.foot)
         stage = _Stage(Figure(server.scene, look_of(robot)), prints)
         frames = frame_indices(story.recording)

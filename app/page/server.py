@@ -25,6 +25,12 @@ class PageServer(viser.ViserServer):
         with contextlib.redirect_stdout(io.StringIO()):
             super().stop()
 
+    @property
+    def url(self) -> str:
+        """What to type into the browser."""
+        host = self.get_host()
+        return f"http://{'localhost' if host in ('0.0.0.0', '::') else host}:{self.get_port()}"
+
 
 def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
     """A server at this address; with port 0 the system chooses a free one.

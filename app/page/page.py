@@ -1,0 +1,175 @@
+"""The page: scene, controls and pointer brought together around a session."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from app.page.bodies import look_of
+from app.page.boxes import Obstacle
+from app.page.figure import Figure
+from app.page.floor import add_floor, aim_camera
+from app.page.panel import Actions, Panel
+from app.page.pointer import FloorPointer, Pointed, Tool, facing
+from app.page.prints import Marker, Prints
+from app.page.server import PageServer
+from app.page.session import Session
+from app.page.snapshot import Notice, Snapshot
+from app.page.toybox import Toybox
+from controller.policy import Policy
+from planner.options import PlannerOptions
+from planner.plan import Pose
+from sim.robot import Robot
+
+FRAMES_PER_S = 30.0
+_TEXT_EVERY_S = 0.25
+_PLOT_EVERY_S = 0.5
+_NOTICE_FOR_S = 6.0
+_PALE_RGB = (240, 170, 160)
+
+
+class Page:
+    """Shows a session to whoever opens the page, and passes on what they wish."""
+
+    def __init__(
+        self,
+        server: PageServer,
+        session: Session,
+        robot: Robot,
+        *,
+        robots: tuple[str, ...],
+        load: Callable[[str], tuple[Robot, Policy]],
+        options: PlannerOptions,
+    ) -> None:
+        self._server, self._session, self._robot, self._load = server, session, robot, load
+        self._tool = Tool.GOAL
+        self._notice: tuple[float, Notice] | None = None
+        self._shown: Snapshot | None = None
+        self._text_s = self._plot_s = 0.0
+        self._drawing = threading.Lock()
+        scene, grid = server.scene, session.grid
+        aim_camera(server.initial_camera, grid, beside_panel=True)
+        self._goal = Marker(scene, "/goal")
+        self._wished = Marker(scene, "/wished", _PALE_RGB)
+        self._toybox = Toybox(
+            scene,
+            grid,
+            on_change=session.set_obstacles,
+            is_refused=self._why_no_box,
+            on_refused=self._say,
+        )
+        self._pointer = FloorPointer(self._pointed)
+        self._pointer.watch(add_floor(scene, grid))
+        self._prints = Prints(scene, robot.step_model.foot)
+        self._figure = Figure(scene, look_of(robot))
+        actions = Actions(
+            go=self._go,
+            stop=session.stop,
+            reset=session.reset,
+            use_tool=self._use,
+            set_speed=lambda factor: setattr(session.pace, "factor", factor),
+            set_options=session.set_options,
+            set_robot=self._set_robot,
+            clear_boxes=self._toybox.clear,
+            remove_box=self._toybox.remove_last,
+        )
+        self._panel = Panel(server.gui, actions, robots=robots, robot=robot.name, options=options)
+
+    def wait_for_visitor(self) -> None:
+        """Shows the scene as it is until somebody has opened the page."""
+        self.run(is_over=lambda: bool(self._server.get_clients()))
+
+    def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
+        """Shows what happens until `is_over`, or for ever; a frame that fails ends the page."""
+        while not is_over():
+            began_s = time.monotonic()
+            self.show(self._session.snapshot)
+            time.sleep(max(0.0, 1 / FRAMES_PER_S - (time.monotonic() - began_s)))
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Draws one moment; what has not changed since the last is left alone."""
+        with self._drawing, self._server.atomic():
+            if len(snapshot.qpos) != self._figure.length:
+                return  # The robot has just been exchanged for another one.
+            self._figure.pose(snapshot.qpos)
+            self._show_steps(snapshot)
+            self._shown = snapshot
+        now_s = time.monotonic()
+        if now_s - self._text_s >= _TEXT_EVERY_S:
+            self._text_s = now_s
+            self._panel.show(snapshot, self._own_notice(now_s))
+        if now_s - self._plot_s >= _PLOT_EVERY_S:
+            self._plot_s = now_s
+            self._panel.plots.show_forces(self._session.record.forces())
+
+    def _show_steps(self, new: Snapshot) -> None:
+        old, prints = self._shown, self._prints
+        if old is None or new.goal != old.goal:
+            self._goal.show(new.goal)
+            self._wished.show(None)
+        if old is None or new.plan is not old.plan or new.done != old.done:
+            side = np.zeros(0, np.int8) if new.plan is None else new.plan.side
+            pose = np.zeros((0, 4)) if new.plan is None else new.plan.pose_world
+            ahead = new.done + 2
+            prints.plan(side[ahead:], pose[ahead:])
+            prints.next_two(side[new.done : ahead], pose[new.done : ahead])
+        if old is None or new.placed_side is not old.placed_side:
+            prints.placed(new.placed_side, new.placed_world)
+            prints.path(new.path_world)
+            self._panel.plots.show_errors(new.placed_side, new.foot_error_m)
+
+    def _own_notice(self, now_s: float) -> Notice | None:
+        if self._notice is not None and now_s - self._notice[0] > _NOTICE_FOR_S:
+            self._notice = None
+        return None if self._notice is None else self._notice[1]
+
+    def _say(self, text: str) -> None:
+        self._notice = time.monotonic(), Notice(text=text)
+
+    def _use(self, tool: Tool) -> None:
+        self._tool = tool
+        self._toybox.removes_on_click = tool is Tool.BOX
+        self._pointer.use(tool)
+
+    def _go(self, goal: Pose) -> None:
+        self._wished.show(goal)
+        self._session.go_to(goal)
+
+    def _pointed(self, pointed: Pointed, is_final: bool) -> None:
+        if self._tool is Tool.BOX:
+            self._toybox.add(pointed[:2], self._panel.box_size_m)
+            return
+        qpos = self._session.snapshot.qpos
+        w, x, y, z = qpos[3:7]
+        yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        goal = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
+        self._wished.show(goal)
+        if is_final and self._tool is Tool.ROBOT:
+            self._wished.show(None)
+            self._session.reset(goal)
+        elif is_final:
+            self._panel.show_goal(goal)
+            self._session.go_to(goal)
+
+    def _why_no_box(self, obstacle: Obstacle) -> str:
+        return "no box can stand on the robot" if self._session.is_on_robot(obstacle) else ""
+
+    def _set_robot(self, name: str) -> None:
+        """Exchanges the robot; one without a policy is refused."""
+        try:
+            robot, policy = self._load(name)
+            look = look_of(robot)
+        except Exception as error:
+            # Whatever is wrong with a robot is told on the page, and the one that is there stays.
+            self._say(f"{name} cannot be chosen: {error}")
+            return
+        with self._drawing:
+            self._figure.remove()
+            self._prints.clear()
+            self._session.set_robot(robot, policy)
+            self._prints = Prints(self._server.scene, robot.step_model.foot)
+            self._figure = Figure(self._server.scene, look)
+            self._shown = None

@@ -1,0 +1,199 @@
+"""The controls beside the scene: what can be typed, pressed and read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import viser
+
+from app.page.plots import Plots
+from app.page.pointer import Tool
+from app.page.snapshot import Notice, Snapshot
+from planner.options import PLANNERS, PlannerOptions
+from planner.plan import Pose
+
+SPEEDS = {"Pause": 0.0, "1x": 1.0, "Fastest": math.inf}
+_HINTS = {
+    Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks.",
+    Tool.BOX: "**Box**: click the floor to set a box down, click a box to take it away, drag it to "
+    "move it.",
+    Tool.ROBOT: "**Robot**: click or drag where the robot is to be put. The walk begins anew.",
+    Tool.LOOK: "**Look**: drag to turn the view, right button to shift it, wheel to come nearer.",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Actions:
+    """What the panel's controls do."""
+
+    go: Callable[[Pose], None]
+    stop: Callable[[], None]
+    reset: Callable[[], None]
+    use_tool: Callable[[Tool], None]
+    set_speed: Callable[[float], None]
+    set_options: Callable[[PlannerOptions], None]
+    set_robot: Callable[[str], None]
+    clear_boxes: Callable[[], None]
+    remove_box: Callable[[], None]
+
+
+class Panel:
+    """Controls of all pages that watch: what one does, the others see."""
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        actions: Actions,
+        *,
+        robots: tuple[str, ...],
+        robot: str,
+        options: PlannerOptions,
+    ) -> None:
+        self._gui, self._actions, self._options = gui, actions, options
+        self._offer: Pose | None = None
+        self._text = ""
+        self._status = gui.add_markdown("")
+        self._notice = gui.add_markdown("", visible=False)
+        self._take_offer = gui.add_button(
+            "Go to the nearest free pose", color="orange", visible=False
+        )
+        self._take_offer.on_click(lambda _event: self._go_to_offer())
+        self._add_tools()
+        self._add_walk()
+        with gui.add_folder("Goal"):
+            self._add_goal()
+        with gui.add_folder("Boxes", expand_by_default=False):
+            self._add_boxes()
+        with gui.add_folder("Robot and planner", expand_by_default=False):
+            self._add_choices(robots, robot)
+        with gui.add_folder("Plots"):
+            self.plots = Plots(gui)
+        self._add_keys()
+
+    @property
+    def box_size_m(self) -> tuple[float, float]:
+        """Extents in x and y of the next box."""
+        return self._box_x.value, self._box_y.value
+
+    def show(self, snapshot: Snapshot, unheard: Notice | None) -> None:
+        """Brings what is read up to date; `unheard` is a notice of the page itself."""
+        text = status_text(snapshot)
+        if text != self._text:
+            self._text = self._status.content = text
+        notice = unheard or snapshot.notice
+        content = "" if notice is None else f"⚠️ {notice.text}"
+        if content != self._notice.content:
+            self._notice.content = content
+            self._notice.visible = bool(content)
+        self._offer = None if notice is None else notice.offer
+        self._take_offer.visible = self._offer is not None
+
+    def show_goal(self, pose: Pose) -> None:
+        """Puts the numbers of a goal into the fields where they can be typed."""
+        self._x.value, self._y.value = pose[0], pose[1]
+        self._degrees.value = round(math.degrees(pose[2]), 1)
+
+    def _go_to_offer(self) -> None:
+        if self._offer is not None:
+            self.show_goal(self._offer)
+            self._actions.go(self._offer)
+
+    def _add_tools(self) -> None:
+        tools = self._gui.add_button_group("Pointer", [str(tool) for tool in Tool])
+        tools.on_click(lambda event: self.use_tool(Tool(event.target.value)))
+        self._hint = self._gui.add_markdown(_HINTS[Tool.GOAL])
+
+    def use_tool(self, tool: Tool) -> None:
+        """Chooses what the pointer does."""
+        self._hint.content = _HINTS[tool]
+        self._actions.use_tool(tool)
+
+    def _add_walk(self) -> None:
+        speeds = self._gui.add_button_group("Speed", list(SPEEDS))
+        speeds.on_click(lambda event: self._actions.set_speed(SPEEDS[event.target.value]))
+        walk = self._gui.add_button_group("Walk", ["Stop", "Reset"])
+        walk.on_click(
+            lambda event: (
+                self._actions.stop() if event.target.value == "Stop" else self._actions.reset()
+            )
+        )
+
+    def _add_goal(self) -> None:
+        # Any: viser's types say that the value of a number cannot be set.
+        self._x: Any = self._gui.add_number("x, m", 0.0, step=0.05)
+        self._y: Any = self._gui.add_number("y, m", 0.0, step=0.05)
+        self._degrees: Any = self._gui.add_number("heading, °", 0.0, step=5.0)
+        self._gui.add_button("Go").on_click(lambda _event: self._go())
+
+    def _go(self) -> None:
+        yaw_rad = math.radians(self._degrees.value)
+        self._actions.go((float(self._x.value), float(self._y.value), yaw_rad))
+
+    def _add_boxes(self) -> None:
+        self._box_x = self._gui.add_slider("size in x, m", 0.1, 2.0, 0.05, 0.4)
+        self._box_y = self._gui.add_slider("size in y, m", 0.1, 2.0, 0.05, 0.4)
+        clear = self._gui.add_button("Remove all boxes")
+        clear.on_click(lambda _event: self._actions.clear_boxes())
+
+    def _add_choices(self, robots: tuple[str, ...], robot: str) -> None:
+        chosen = self._gui.add_dropdown("Robot", robots, initial_value=robot)
+        chosen.on_update(lambda _event: self._actions.set_robot(chosen.value))
+        planner = self._gui.add_dropdown("Planner", PLANNERS, initial_value=self._options.name)
+        epsilon = self._gui.add_slider(
+            "epsilon",
+            1.0,
+            10.0,
+            0.5,
+            min(10.0, self._options.epsilon),
+            hint="The heuristic's weight in the first search: large is quick, 1 is best at once.",
+        )
+
+        def changed(_event: Any) -> None:
+            self._options = replace(self._options, name=planner.value, epsilon=epsilon.value)
+            self._actions.set_options(self._options)
+
+        planner.on_update(changed)
+        epsilon.on_update(changed)
+        dark = self._gui.add_checkbox("Dark", False)
+        dark.on_update(
+            lambda _event: self._gui.configure_theme(
+                show_logo=False, show_share_button=False, dark_mode=dark.value
+            )
+        )
+
+    def _add_keys(self) -> None:
+        for tool, key in ((Tool.GOAL, "G"), (Tool.BOX, "B"), (Tool.ROBOT, "R"), (Tool.LOOK, "L")):
+            self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
+        for name, key in (("Pause", "P"), ("1x", "1"), ("Fastest", "F")):
+            self._add_key(f"Speed: {name}", key, partial(self._actions.set_speed, SPEEDS[name]))
+        self._add_key("Stop", "X", self._actions.stop)
+        self._add_key("Reset", "0", self._actions.reset)
+        self._add_key("Remove the last box", "backspace", self._actions.remove_box)
+
+    def _add_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
+        command = self._gui.add_command(label, hotkey=key)
+        command.on_trigger(lambda _event: action())
+
+
+def status_text(snapshot: Snapshot) -> str:
+    """What there is to say of the walk, as Markdown."""
+    lines = [f"### {snapshot.status[:1].upper()}{snapshot.status[1:]}"]
+    if snapshot.plan is not None:
+        steps = f"step {snapshot.done} of {len(snapshot.plan)}"
+        lines.append(f"{steps}, {snapshot.replans} replans")
+    if snapshot.answer_s is not None:
+        lines.append(f"plan after {1000 * snapshot.answer_s:.0f} ms")
+    if len(snapshot.foot_error_m):
+        error = snapshot.foot_error_m
+        lines.append(f"foot error {100 * error[-1]:.1f} cm, at most {100 * error.max():.1f} cm")
+    if snapshot.clearance_m is not None:
+        lines.append(f"nearest wall {100 * snapshot.clearance_m:.0f} cm")
+    if snapshot.goal_error is not None and snapshot.status == "reached":
+        away_m, away_rad = snapshot.goal_error
+        lines.append(f"from the goal {100 * away_m:.1f} cm, {math.degrees(away_rad):.1f}°")
+    lines.append(f"{snapshot.time_s:.0f} s walked, speed {snapshot.speed:.1f}x")
+    return "  \n".join(lines)

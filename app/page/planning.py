@@ -1,0 +1,227 @@
+"""A planner in a process of its own: while it searches, robot and page go on."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from maps.grid import OccupancyGrid
+from planner.api import Planner
+from planner.collision import terrain_of
+from planner.endpoints import nearest_free_pose
+from planner.model import Side, StepModel
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan, PlanStatus, Pose, pair_pose
+
+# How long the robot may wait for a plan between two steps; its physics catch up afterwards.
+PATIENCE_S = 0.2
+# How long a plan that is there already is improved.
+POLISH_S = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Query:
+    """What is asked: from both feet (2, 4) to a pair pose; `number` tells answers apart."""
+
+    number: int
+    goal: Pose
+    start_feet_world: np.ndarray
+    first_side: Side | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """A plan for the query of that number; after the first may come one better one.
+
+    `offer` is the nearest pose that is free when the goal of the query is not.
+    """
+
+    number: int
+    plan: FootstepPlan
+    offer: Pose | None = None
+    is_last: bool = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What is planned over."""
+
+    grid: OccupancyGrid
+    model: StepModel
+    options: PlannerOptions
+
+
+class PlanningProcess:
+    """Asks a planner in another process; used from one thread.
+
+    `ask` and `answers` never wait. `plan` waits for at most `patience_s`, and says that time ran
+    out when there is nothing by then.
+    """
+
+    def __init__(self, world: World, *, patience_s: float = PATIENCE_S) -> None:
+        self.patience_s = patience_s
+        self._world = world
+        self._number = 0
+        self._kept: list[Answer] = []
+        self._start()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_work, args=(theirs,), daemon=True, name="planner")
+        self._process.start()
+        theirs.close()
+        self._send(self._world)
+
+    @property
+    def number(self) -> int:
+        """Of the last question, whoever asked it."""
+        return self._number
+
+    def set_world(self, world: World) -> None:
+        """Plans from now on over another map, or for another robot."""
+        self._world = world
+        self._kept.clear()
+        self._send(world)
+
+    def ask(
+        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+    ) -> int:
+        """Asks for a plan; returns the number of its answers. Older questions are dropped."""
+        self._number += 1
+        x_m, y_m, yaw_rad = (float(value) for value in goal)
+        self._send(
+            Query(
+                number=self._number,
+                goal=(x_m, y_m, yaw_rad),
+                start_feet_world=np.array(start_feet_world),
+                first_side=first_side,
+            )
+        )
+        return self._number
+
+    def answers(self) -> list[Answer]:
+        """The answers that came since the last call, to the last question only."""
+        self._receive(0.0)
+        kept, self._kept = self._kept, []
+        return kept
+
+    def plan(
+        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+    ) -> FootstepPlan:
+        """The best plan that is there in time; status TIMED_OUT if none is."""
+        began = time.monotonic()
+        self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side)
+        best: FootstepPlan | None = None
+        while (left_s := self.patience_s - (time.monotonic() - began)) > 0:
+            self._receive(left_s)
+            for answer in self.answers():
+                best = answer.plan
+                if answer.is_last:
+                    return best
+        if best is not None:
+            return best
+        start, end = pair_pose(start_feet_world), [float(value) for value in goal]
+        return FootstepPlan(
+            start_feet_world=start_feet_world,
+            start=(start[0], start[1], start[2]),
+            goal=(end[0], end[1], end[2]),
+            status=PlanStatus.TIMED_OUT,
+            reason=f"no plan within {self.patience_s:g} s",
+            epsilon=math.inf,
+            time_s=time.monotonic() - began,
+        )
+
+    def close(self) -> None:
+        """Ends the process."""
+        self._pipe.close()
+        self._process.terminate()
+        self._process.join(timeout=5.0)
+
+    def _send(self, message: Any) -> None:
+        try:
+            self._pipe.send(message)
+        except OSError:
+            self._restart()
+            self._pipe.send(message)
+
+    def _receive(self, wait_s: float) -> None:
+        try:
+            while self._pipe.poll(wait_s):
+                answer = self._pipe.recv()
+                wait_s = 0.0
+                if answer.number == self._number:
+                    self._kept.append(answer)
+        except (EOFError, OSError):
+            self._restart()
+
+    def _restart(self) -> None:
+        """A planner that died, out of memory say, must not take the robot with it."""
+        self._pipe.close()
+        self._process.join(timeout=1.0)
+        self._start()
+
+
+def _work(pipe: Connection) -> None:
+    """The other process: answers the newest question, until the pipe closes."""
+    world: World | None = None
+    planners: tuple[Planner, Planner] | None = None
+    try:
+        while True:
+            query: Query | None = None
+            while query is None or pipe.poll():
+                message = pipe.recv()
+                if isinstance(message, World):
+                    if world is None:
+                        _warm_up(message)
+                    world, planners = message, None
+                else:
+                    query = message
+            assert world is not None
+            planners = planners or _planners(world)
+            _answer(pipe, world, planners, query)
+    except (EOFError, OSError, KeyboardInterrupt):
+        return
+
+
+def _warm_up(world: World) -> None:
+    """Plans once where it is easy: loads what has been compiled before the first question."""
+    floor = OccupancyGrid(cells=np.zeros((60, 60), np.uint8), resolution_m=0.05)
+    Planner(floor, world.model, world.options).plan(start=(1.0, 1.5, 0.0), goal=(1.5, 1.5, 0.0))
+
+
+def _planners(world: World) -> tuple[Planner, Planner]:
+    """One that is content with the first plan, and one that goes on to a better one."""
+    quick = replace(world.options, stop_at_first=True)
+    thorough = replace(world.options, time_limit_s=POLISH_S)
+    return Planner(world.grid, world.model, quick), Planner(world.grid, world.model, thorough)
+
+
+def _answer(
+    pipe: Connection, world: World, planners: tuple[Planner, Planner], query: Query
+) -> None:
+    asked: dict[str, Any] = {
+        "goal": query.goal,
+        "start_feet_world": query.start_feet_world,
+        "first_side": query.first_side,
+    }
+    quick, thorough = planners
+    plan = quick.plan(**asked)
+    improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
+    offer = None
+    if plan.status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
+        terrain = terrain_of(world.grid, world.options.unknown_is_free)
+        offer = nearest_free_pose(world.grid, terrain, world.model, query.goal)
+        offer = offer and (float(offer[0]), float(offer[1]), float(offer[2]))
+    pipe.send(Answer(number=query.number, plan=plan, offer=offer, is_last=not improvable))
+    if improvable and not pipe.poll():
+        better = thorough.plan(**asked)
+        plan = replace(better, time_to_first_s=plan.time_s) if better.found else plan
+        pipe.send(Answer(number=query.number, plan=plan))

@@ -1,0 +1,111 @@
+"""What a click or a drag on the floor means: goal, place of the robot, or a box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+import viser
+
+from planner.plan import Pose
+
+# A drag shorter than this does not say where to look.
+_SHORTEST_DRAG_M = 0.12
+
+
+class Tool(StrEnum):
+    """What the pointer does on the floor."""
+
+    GOAL = "Goal"
+    BOX = "Box"
+    ROBOT = "Robot"
+    LOOK = "Look"
+
+
+class Pointed(NamedTuple):
+    """A place on the floor, and which way to look there unless that was left open."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float | None = None
+
+
+class FloorPointer:
+    """Turns clicks and drags on the floor into poses.
+
+    `on_pose(pointed, is_final)` is called also while a drag goes on; a click leaves the heading
+    open. With the tool LOOK a drag on the floor turns the camera.
+    """
+
+    def __init__(self, on_pose: Callable[[Pointed, bool], None]) -> None:
+        self._on_pose = on_pose
+        self._floor: viser.BoxHandle | None = None
+        self._tool = Tool.GOAL
+        self._drags = False
+
+    def watch(self, floor: viser.BoxHandle) -> None:
+        """Listens to this floor from now on."""
+        self._floor, self._drags = floor, False
+        floor.on_click(self._clicked)
+        self.use(self._tool)
+
+    def use(self, tool: Tool) -> None:
+        """Chooses what a drag is for."""
+        self._tool = tool
+        wanted = tool in (Tool.GOAL, Tool.ROBOT)
+        if self._floor is None or wanted == self._drags:
+            return
+        self._drags = wanted
+        if wanted:
+            self._floor.on_drag("left")(self._dragged)
+        else:
+            self._floor.remove_drag_callback("all")
+
+    # Coroutines are awaited one after the other; functions could overtake one another.
+    async def _clicked(self, event: viser.SceneNodePointerEvent) -> None:
+        point = on_floor(event.ray_origin, event.ray_direction)
+        if point is not None and self._tool is not Tool.LOOK:
+            self._on_pose(Pointed(*point), True)
+
+    async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
+        eye = np.asarray(event.client.camera.position)
+        point = on_floor(eye, np.asarray(event.end_position) - eye)
+        if point is None:
+            return
+        grabbed = on_floor(eye, np.asarray(event.start_position) - eye)
+        if grabbed is not None and event.phase != "start":
+            self._on_pose(toward(grabbed, point), event.phase == "end")
+
+
+def on_floor(
+    origin: Sequence[float] | np.ndarray, direction: Sequence[float] | np.ndarray
+) -> tuple[float, float] | None:
+    """Where a ray meets the ground z = 0; None if it never does."""
+    if direction[2] >= -1e-9:
+        return None
+    along = -origin[2] / direction[2]
+    return float(origin[0] + along * direction[0]), float(origin[1] + along * direction[1])
+
+
+def toward(place: tuple[float, float], point: tuple[float, float]) -> Pointed:
+    """A place and the way to a point from there; no heading if the two are too near to tell."""
+    away_x, away_y = point[0] - place[0], point[1] - place[1]
+    if math.hypot(away_x, away_y) < _SHORTEST_DRAG_M:
+        return Pointed(*place)
+    return Pointed(*place, math.atan2(away_y, away_x))
+
+
+def facing(pointed: Pointed, robot_xy: Sequence[float], robot_yaw_rad: float) -> Pose:
+    """The pose, looking the way the robot comes if that was left open, or as it does if it is near.
+
+    `robot_xy` and `robot_yaw_rad` say where the robot is now.
+    """
+    x_m, y_m, yaw_rad = pointed
+    if yaw_rad is None:
+        away_x, away_y = x_m - robot_xy[0], y_m - robot_xy[1]
+        far = math.hypot(away_x, away_y) > 0.5
+        yaw_rad = math.atan2(away_y, away_x) if far else robot_yaw_rad
+    return round(x_m, 3), round(y_m, 3), round(yaw_rad, 3)

@@ -1,0 +1,53 @@
+"""The command `serve`: a web page with a live robot."""
+
+from __future__ import annotations
+
+from app.errors import InputError, as_bad_input
+from app.inputs import find_robot, read_grid
+from app.page.page import Page
+from app.page.server import open_server
+from app.page.session import Session
+from app.page.view import load_robot
+from app.progress import say
+from app.serve_options import ServeOptions
+from controller.policy import Policy, PolicyError, load_policy
+from planner.options import PlannerOptions
+from sim.robot import Robot
+from sim.robots import robot_names
+
+
+def run(options: ServeOptions) -> int:
+    """Carries the command out: serves until Ctrl-C."""
+    grid = read_grid(options)
+    if not grid.contains(options.start[:2]):
+        raise InputError(f"--start {options.start[0]:g},{options.start[1]:g} is off the map")
+
+    def load(name: str) -> tuple[Robot, Policy]:
+        if options.policy is None or name != options.robot:
+            return load_robot(name)
+        robot = find_robot(name)
+        with as_bad_input(PolicyError):
+            return robot, load_policy(robot, options.policy)
+
+    robot, policy = load(options.robot)
+    plan_options = PlannerOptions(unknown_is_free=options.unknown_is_free)
+    server = open_server(host=options.host, port=options.port, title=f"Footfall: {options.map}")
+    session = Session(
+        grid, robot, policy, start=options.start, options=plan_options, seed=options.seed
+    )
+    try:
+        page = Page(
+            server,
+            session,
+            robot,
+            robots=robot_names(),
+            load=load,
+            options=plan_options,
+        )
+        session.start()
+        say(f"open {server.url} in a browser; Ctrl-C ends it")
+        page.run()
+    finally:
+        session.close()
+        server.stop()
+    return 0
