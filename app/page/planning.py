@@ -69,6 +69,7 @@ class PlanningProcess:
         self.patience_s = patience_s
         self._world = world
         self._number = 0
+        self._open: Query | None = None
         self._kept: list[Answer] = []
         self._start()
 
@@ -97,14 +98,13 @@ class PlanningProcess:
         """Asks for a plan; returns the number of its answers. Older questions are dropped."""
         self._number += 1
         x_m, y_m, yaw_rad = (float(value) for value in goal)
-        self._send(
-            Query(
-                number=self._number,
-                goal=(x_m, y_m, yaw_rad),
-                start_feet_world=np.array(start_feet_world),
-                first_side=first_side,
-            )
+        self._open = Query(
+            number=self._number,
+            goal=(x_m, y_m, yaw_rad),
+            start_feet_world=np.array(start_feet_world),
+            first_side=first_side,
         )
+        self._send(self._open)
         return self._number
 
     def answers(self) -> list[Answer]:
@@ -158,9 +158,14 @@ class PlanningProcess:
                 answer = self._pipe.recv()
                 wait_s = 0.0
                 if answer.number == self._number:
+                    self._open = None
                     self._kept.append(answer)
         except (EOFError, OSError):
             self._restart()
+            # Once more, but not for ever: this may be what it died of.
+            query, self._open = self._open, None
+            if query is not None:
+                self._send(query)
 
     def _restart(self) -> None:
         """A planner that died, out of memory say, must not take the robot with it."""

@@ -1,0 +1,178 @@
+"""A live robot without a browser: goals, boxes and robots that come at any time."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.navigator import Navigator
+from app.page.boxes import Obstacle, snapped
+from app.page.rover import Rover
+from app.page.session import Session
+from controller.policy import POLICY_FOLDER, load_policy
+from maps.grid import OccupancyGrid
+from planner.api import Planner
+from sim.robots import get_robot
+
+ROBOT = get_robot("jvrc1")
+POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
+# An empty hall of 8 by 6 m; straight ahead is what every policy that walks can do.
+HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
+AHEAD = (2.0, 0.0, 0.0)
+PATIENCE_S = 120.0
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    session = Session(HALL, ROBOT, POLICY)
+    session.pace.factor = math.inf
+    session.start()
+    yield session
+    session.close()
+
+
+def wait_for(session: Session, wanted: Callable[[Any], object]) -> Any:
+    until_s = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until_s:
+        snapshot = session.snapshot
+        if wanted(snapshot):
+            return snapshot
+        time.sleep(0.01)
+    raise AssertionError(f"waited {PATIENCE_S} s; now it is {session.snapshot.status}")
+
+
+def box_at(x_m: float, y_m: float, size_m: float = 0.4) -> Obstacle:
+    x, y = (float(value) for value in HALL.world_to_grid((x_m, y_m)))
+    return snapped(Obstacle(number=0, x_m=x, y_m=y, size_x_m=size_m, size_y_m=size_m), HALL)
+
+
+def test_it_walks_to_a_goal_and_tells_how(session):
+    session.go_to(AHEAD)
+    end = wait_for(session, lambda now: now.status == "reached")
+    assert end.plan is not None
+    assert end.done == len(end.plan) == len(end.placed_side) == len(end.foot_error_m)
+    assert end.goal_error[0] < 0.1
+    assert end.qpos[0] == pytest.approx(2.0, abs=0.15)
+    assert end.notice is None
+    assert session.record.forces()[1:, -1].sum() == pytest.approx(9.81 * ROBOT.mass_kg, rel=0.2)
+
+
+def test_a_goal_off_the_map_is_refused_with_another_on_offer(session):
+    session.go_to((2.0, 2.9, 0.0))
+    told = wait_for(session, lambda now: now.notice)
+    assert told.notice.text.startswith("no plan: goal:")
+    assert told.status == "standing"
+    session.go_to(told.notice.offer)
+    wait_for(session, lambda now: now.status == "walking" and now.notice is None)
+
+
+def test_numbers_that_are_none_are_refused_and_nothing_ends(session):
+    session.go_to((math.nan, 0, 0))
+    wait_for(session, lambda now: now.notice and "finite" in now.notice.text)
+    session.go_to(AHEAD)
+    wait_for(session, lambda now: now.status == "walking")
+
+
+def test_a_new_goal_while_it_walks(session):
+    session.go_to((3.0, 0.0, 0.0))
+    wait_for(session, lambda now: len(now.placed_side) >= 2)
+    session.go_to((1.5, 0.0, 0.0))
+    end = wait_for(session, lambda now: now.status == "reached" and now.goal[0] == 1.5)
+    assert end.qpos[0] == pytest.approx(1.5, abs=0.15)
+
+
+def test_a_box_in_the_way_is_walked_around(session):
+    session.pace.factor = 4.0
+    session.go_to((3.0, 0.0, 0.0))
+    wait_for(session, lambda now: len(now.placed_side) >= 1)
+    before = session.snapshot.plan
+    session.set_obstacles([box_at(1.9, 0.0)])
+    after = wait_for(session, lambda now: now.replans >= 1 and now.plan is not before)
+    near = np.abs(after.plan.pose_world[:, :2] - (1.9, 0.0)).max(axis=1)
+    assert near.min() > 0.2
+    assert session._rover.scene.model.body("walls").geomnum == 1
+
+
+def test_it_stops_where_the_way_is_closed(session):
+    session.pace.factor = 4.0
+    session.go_to((3.0, 0.0, 0.0))
+    wait_for(session, lambda now: len(now.placed_side) >= 1)
+    session.set_obstacles([box_at(3.0, 0.0, 1.0)])
+    end = wait_for(session, lambda now: now.status == "stopped")
+    assert "no plan" in end.notice.text
+    assert end.qpos[0] < 2.0
+
+
+def test_reset_puts_it_back_whatever_has_happened(session):
+    session.go_to(AHEAD)
+    wait_for(session, lambda now: now.status == "reached")
+    session.reset()
+    back = wait_for(session, lambda now: now.status == "standing")
+    assert back.qpos[:2] == pytest.approx((0, 0), abs=0.1)
+    session.reset((1.0, 1.0, math.pi / 2))
+    moved = wait_for(session, lambda now: now.qpos[1] > 0.8)
+    assert moved.qpos[:2] == pytest.approx((1, 1), abs=0.1)
+
+
+def test_a_box_cannot_be_set_on_the_robot(session):
+    assert session.is_on_robot(box_at(0.3, 0.3))
+    assert not session.is_on_robot(box_at(1.0, 0.0))
+
+
+def test_it_rests_when_it_has_nowhere_to_go(session):
+    session.pace.factor = 1.0
+    wait_for(session, lambda now: now.speed > 0.5)
+    wait_for(session, lambda now: now.speed == 0)
+    session.go_to(AHEAD)
+    wait_for(session, lambda now: now.time_s > 0.1)
+
+
+def test_a_planner_that_dies_is_replaced(session):
+    session.go_to(AHEAD)
+    wait_for(session, lambda now: now.status == "walking")
+    session._planner._process.kill()
+    session._planner._process.join()
+    session.go_to((1.5, 0.0, 0.0))
+    wait_for(session, lambda now: now.goal[0] == 1.5)
+
+
+def test_with_a_goal_it_walks_as_navigate_does():
+    walk = Navigator(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=AHEAD, seed=3)
+    walk.plan()
+    while walk.outcome is None:
+        walk.tick()
+    session = Session(HALL, ROBOT, POLICY, goal=AHEAD, seed=3)
+    session.pace.factor = math.inf
+    session.start()
+    try:
+        wait_for(session, lambda _now: session.ended is not None)
+    finally:
+        session.close()
+    ended: Any = session.ended
+    assert ended.outcome is walk.outcome
+    assert len(ended.qpos) == len(walk.qpos)
+    np.testing.assert_array_equal(ended.qpos[:-1], walk.qpos[:-1])
+
+
+def test_a_changed_map_leaves_the_robot_as_it_is():
+    """The same walk, tick for tick, whether or not a far box was set down on the way."""
+    ends = []
+    for changes in (False, True):
+        planner = Planner(HALL, ROBOT.step_model)
+        rover = Rover(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=(0, 0, 0), planner=planner)
+        rover.tick()
+        ahead = rover.ahead()
+        plan = planner.plan(goal=AHEAD, start_feet_world=ahead.feet_world)
+        assert rover.go(AHEAD, plan, ahead, fresh=True)
+        for tick in range(200):
+            if changes and tick == 100:
+                rover.set_grid(HALL.with_cells(np.eye(120, 160, 60, dtype=np.uint8)))
+            rover.tick()
+        ends.append(rover.qpos[-1])
+    # Not to the bit: the contact solver starts anew.
+    np.testing.assert_allclose(ends[1], ends[0], atol=2e-3)
