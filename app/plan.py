@@ -43,10 +43,13 @@ class PlanOptions(MapOptions):
     """Which search, such as ara."""
 
     epsilon: Annotated[float, number(at_least=1.0)] = PlannerOptions.epsilon
-    """Bound that the search begins with, such as 3; it goes down to 1, the optimum."""
+    """Weight of the first search, such as 3; later ones go down to 1, the optimum."""
 
     time_limit: OptionalTime = None
     """Seconds after which the best plan so far is taken, such as 0.5."""
+
+    prove: bool = False
+    """Go on until the plan is proven to be the cheapest; else only a while past the first plan."""
 
     json: bool = False
     """Print plan.json on standard output, and nothing else there."""
@@ -64,9 +67,12 @@ def run(options: PlanOptions) -> int:
     # Here and not above: the compiled search takes a second to load, bad input need not wait.
     from planner.api import plan_footsteps
 
+    # A limit that the person sets takes the place of the planner's own.
+    improve = options.time_limit is None and not options.prove
     search = PlannerOptions(
         name=options.planner,
         epsilon=options.epsilon,
+        improve_expansions=PlannerOptions.improve_expansions if improve else None,
         time_limit_s=options.time_limit,
         unknown_is_free=options.unknown_is_free,
     )

@@ -74,8 +74,9 @@ class Planner:
 
         goal, start: x_m, y_m, yaw_rad. start_feet_world (2, 4): x_m, y_m, z_m, yaw_rad of the left
         and right foot; then the feet and the body are where they are, so margins do not count at
-        the start itself nor for the body in the first step. first_side: the foot that must step
-        first; the search chooses if not given. Empty if the feet already stand at the goal.
+        the start itself, nor for the body in the first step if the start is too near already.
+        first_side: the foot that must step first; the search chooses if not given. Empty if the
+        feet already stand at the goal.
         Raises ValueError for numbers that are not finite or for both or neither kind of start.
         """
         began = time.perf_counter()
@@ -140,6 +141,11 @@ class Planner:
                 return status, f"{name}: {blocked}{near}"
         return None, ""
 
+    def _stands_too_near(self, query: _Query) -> bool:
+        """Whether the robot stands where the margins would not let it be: it must get away."""
+        feet = query.start_feet_world
+        return query.stands and bool(what_blocks(self.grid, self._terrain, self.model, feet))
+
     def _is_there(self, query: _Query) -> bool:
         off = query.start_feet_world - feet_at(query.goal, self.model.stance_width_m)
         off[:, 3] = wrap_angle(off[:, 3])
@@ -156,7 +162,7 @@ class Planner:
                 model=self.model,
                 heuristic=self._toward[2],
                 feet_lattice=_to_lattice(query.start_feet_world, query.goal),
-                stands=query.stands,
+                stands=self._stands_too_near(query),
                 first_side=query.first_side,
             ),
             self.options,

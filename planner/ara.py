@@ -14,6 +14,7 @@ from planner.body_path import search_body_path
 from planner.connect import first_steps
 from planner.endgame import Endgame
 from planner.exits import SECTORS, Exits
+from planner.flood import Flood, Verdict, new_flood, spread
 from planner.guide import Potential
 from planner.lattice import MICRO, final_cost_um, foot_position
 from planner.model import Side, StepModel
@@ -25,6 +26,9 @@ from planner.space import Space
 FloatArray = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 _BUDGET = 4096  # expansions between two looks at the clock
+# A search that has no plan after so many expansions takes turns with the floods from start and
+# goal, which may find that there is none: so many expansions against so many nodes of each flood.
+_PATIENCE, _TURN, _FLOOD_TURN = 1 << 14, 1 << 13, 1 << 15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,7 +87,7 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
         )
     tree = _new_tree(request, nodes)
     search.seed(request.space, heuristic, tree, nodes, costs_um)
-    return _Run(request, options, began, heuristic, tree).result()
+    return _Run(request, options, began, heuristic, tree, nodes).result()
 
 
 def _seeds(request: Request) -> tuple[Int64s, Int64s]:
@@ -143,6 +147,12 @@ def _new_tree(request: Request, seeds: Int64s) -> Tree:
     )
 
 
+_ENCLOSED = {
+    Verdict.GOAL_ENCLOSED: "obstacles leave no steps from outside to the goal",
+    Verdict.START_ENCLOSED: "obstacles leave no steps out from the start",
+}
+
+
 class _Run:
     """The rounds of one search and the limits on them."""
 
@@ -153,6 +163,7 @@ class _Run:
         began: float,
         heuristic: Heuristic,
         tree: Tree,
+        seeds: Int64s,
     ) -> None:
         self.request = request
         self.options = options
@@ -162,17 +173,27 @@ class _Run:
         self.time_to_first_s = 0.0
         self.least_um = 0
         self.proven = math.inf
+        self.first_expansions = 0
+        self.verdict = Verdict.OPEN
+        self._seeds = seeds
+        self._flood: Flood | None = None
 
     def result(self) -> Result:
         """Runs all rounds and reads the plan from the tree."""
         epsilon = self.options.epsilon
         while self._round(epsilon):
             epsilon = _next_epsilon(epsilon)
-        expansions = int(self.tree.scalars[search.EXPANSIONS])
-        self._note_bound()
+        expansions = self._expansions
         if self._best_um < search.NO_COST:
+            self._tighten_bound()
             return self._plan(expansions)
+        if self.verdict in _ENCLOSED:
+            assert self._flood is not None
+            poses = int(self._flood.ends[1] + self._flood.ends[3])
+            reason = f"the goal cannot be reached: {_ENCLOSED[self.verdict]} ({poses} poses tried)"
+            return _failure(PlanStatus.NO_PATH, reason, expansions)
         if self._limit_reached():
+            self._tighten_bound()
             reason = (
                 f"no plan found within {self._limit_reached()}; "
                 f"any plan costs at least {self.least_um / MICRO:.2f} m"
@@ -187,6 +208,10 @@ class _Run:
     @property
     def _best_um(self) -> int:
         return int(self.tree.scalars[search.BEST_UM])
+
+    @property
+    def _expansions(self) -> int:
+        return int(self.tree.scalars[search.EXPANSIONS])
 
     def _round(self, epsilon: float) -> bool:
         """One search with a weight; whether another one may follow."""
@@ -205,15 +230,33 @@ class _Run:
             elif outcome == search.IMPROVED:
                 if self.time_to_first_s == 0.0:
                     self.time_to_first_s = time.perf_counter() - self.began
+                    self.first_expansions = self._expansions
                 if self.options.stop_at_first:
-                    self._note_bound()
                     return False
             elif outcome in (search.FINISHED, search.EXHAUSTED):
                 if self._best_um < search.NO_COST and epsilon == 1.0:
                     self.proven = 1.0
                 return self._best_um < search.NO_COST and self.proven > self.options.final_epsilon
-            if self._limit_reached():
+            if self._limit_reached() or self._improved_enough() or self._is_enclosed():
                 return False
+
+    def _is_enclosed(self) -> bool:
+        """Whether the floods, if it is their turn, find that no steps lead to the goal."""
+        if self._may_be_enclosed() and self._expansions >= _PATIENCE:
+            if self._flood is None:
+                self._flood = new_flood(self.request.space, self._seeds, self.tree.goals)
+            self._flood, self.verdict = spread(self.request.space, self._flood, _FLOOD_TURN)
+        return self.verdict in _ENCLOSED
+
+    def _may_be_enclosed(self) -> bool:
+        return self.verdict is Verdict.OPEN and self._best_um == search.NO_COST
+
+    def _tighten_bound(self) -> None:
+        """Takes over what the open states prove now that the search stopped in mid-round."""
+        if self.proven > 1.0:
+            space, heuristic = self.request.space, self.heuristic
+            self.least_um = int(search.begin_round(space, heuristic, self.tree, 1.0))
+            self._note_bound()
 
     def _note_bound(self) -> None:
         """Takes over what the least g + h of all open states proves."""
@@ -222,12 +265,28 @@ class _Run:
             self.proven = min(self.proven, best / min(best, max(self.least_um, 1)))
 
     def _budget(self) -> int:
-        left = self.options.max_expansions - int(self.tree.scalars[search.EXPANSIONS])
-        return max(0, min(_BUDGET, left) if self.options.time_limit_s else left)
+        """Expansions until one of the limits is to be looked at again."""
+        budget = self.options.max_expansions - self._expansions
+        if self.options.time_limit_s:
+            budget = min(budget, _BUDGET)
+        if self._may_be_enclosed():
+            budget = min(budget, max(_TURN, _PATIENCE - self._expansions))
+        left = self._left_to_improve()
+        return max(0, budget if left is None else min(budget, left))
+
+    def _left_to_improve(self) -> int | None:
+        """Expansions left to spend on a better plan than the first; None without a limit."""
+        if self.options.improve_expansions is None or self._best_um == search.NO_COST:
+            return None
+        return self.first_expansions + self.options.improve_expansions - self._expansions
+
+    def _improved_enough(self) -> bool:
+        left = self._left_to_improve()
+        return left is not None and left <= 0
 
     def _limit_reached(self) -> str:
         """The limit that ended the search, in words; empty if none did."""
-        if self.tree.scalars[search.EXPANSIONS] >= self.options.max_expansions:
+        if self._expansions >= self.options.max_expansions:
             return f"{self.options.max_expansions} expansions"
         limit_s = self.options.time_limit_s
         if limit_s is not None and time.perf_counter() - self.began >= limit_s:
@@ -262,8 +321,8 @@ class _Run:
 
 
 def _next_epsilon(epsilon: float) -> float:
-    """The next weight: a quarter of what is above 1, and 1 itself once that is little."""
-    return 1.0 + (epsilon - 1.0) / 4 if epsilon > 2.0 else 1.0
+    """The next weight: two fifths of what is above 1, and 1 itself once that is little."""
+    return 1.0 + 0.4 * (epsilon - 1.0) if epsilon > 1.3 else 1.0
 
 
 def _doubled(array: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -13,15 +13,17 @@ class PlannerOptions:
     """How to search.
 
     epsilon, final_epsilon: the heuristic's weight in the first and in the last search; a plan costs
-    at most the reported epsilon times the optimum. max_expansions: the rule by which a search ends
-    that repeats exactly. time_limit_s: a limit on the clock on top of it; results then depend on
-    the machine. stop_at_first: be content with the first plan. unknown_is_free: walk on cells that
-    nobody has seen.
+    at most the reported epsilon times the optimum. improve_expansions: states to expand past the
+    first plan in search of a better one; None goes on until final_epsilon is proven.
+    max_expansions: the same for the whole search. Both repeat exactly. time_limit_s: a limit on the
+    clock on top of them; results then depend on the machine. stop_at_first: be content with the
+    first plan. unknown_is_free: walk on cells that nobody has seen.
     """
 
     name: str = "ara"
-    epsilon: float = 1.2
+    epsilon: float = 1.5
     final_epsilon: float = 1.0
+    improve_expansions: int | None = 20_000
     max_expansions: int = 3_000_000
     time_limit_s: float | None = None
     stop_at_first: bool = False
@@ -35,6 +37,8 @@ class PlannerOptions:
                 f"epsilon {self.epsilon} must be a finite number, at least "
                 f"final_epsilon {self.final_epsilon}, which must be at least 1"
             )
+        if self.improve_expansions is not None and self.improve_expansions < 0:
+            raise ValueError(f"improve_expansions {self.improve_expansions} must be at least 0")
         if self.max_expansions < 1:
             raise ValueError(f"max_expansions {self.max_expansions} must be at least 1")
         if self.time_limit_s is not None and not self.time_limit_s > 0:

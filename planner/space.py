@@ -214,6 +214,18 @@ def pair_free(space: Space, half: int, half_heading: int) -> bool:
 
 
 @njit(cache=True)
+def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
+    """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
+    clearance_m = space.half_clear_m[half] - 1.0
+    if clearance_m < 0.0:
+        clearance_m = measure_half(space, half) - 1.0
+    half_l, half_w = space.body
+    if clearance_m > math.sqrt(half_l * half_l + half_w * half_w) + 1e-6:
+        return True
+    return pair_free(space, half, half_heading)
+
+
+@njit(cache=True)
 def clearance_cost(space: Space, clearance_m: float) -> int:
     """Extra cost in micrometres of a step whose pair pose has this clearance."""
     wanted_m, worst_m, cost_um = space.clearance

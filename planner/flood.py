@@ -1,0 +1,168 @@
+"""Whether any steps at all lead from the start to the goal: two floods of the lattice that meet.
+
+A* looks at the states near the best way first, so it learns that there is no way only when it has
+seen every pose the robot can come to. A flood asks less of each state: whether it was reached, not
+at what cost. One flood goes forward from the first steps and one backward from the goal feet, in
+turns, so the smaller enclosed side is exhausted first and a goal in a pocket costs no more than
+the pocket. Both follow the very steps and checks of the search, so neither verdict is a guess.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.space import (
+    COST_UM,
+    D_HALF,
+    D_NODE,
+    HALF_HEADING,
+    TO_ROW,
+    Space,
+    node_free,
+    pair_known_free,
+)
+
+FORWARD, BACKWARD = 1, 2
+
+
+class Verdict(IntEnum):
+    """What two floods know: nothing yet, that they met, or which of them ran dry before."""
+
+    OPEN = 0
+    MET = 1
+    GOAL_ENCLOSED = 2
+    START_ENCLOSED = 3
+
+
+class Flood(NamedTuple):
+    """State of the two floods, kept between calls of `spread`.
+
+    seen (nodes,): FORWARD or BACKWARD where a flood has come, 0 elsewhere. back_steps: the steps
+    that end in a row, as `Space.steps` has those that begin in it. forward, backward: the nodes
+    come to, in the order in which they go on; ends (4,): how many of each have gone on and how
+    many were come to.
+    """
+
+    seen: NDArray[np.uint8]
+    back_steps: NDArray[np.int64]
+    forward: NDArray[np.int32]
+    backward: NDArray[np.int32]
+    ends: NDArray[np.int64]
+
+
+def new_flood(space: Space, seeds: NDArray[np.int64], goals: NDArray[np.int64]) -> Flood:
+    """Floods from the first steps (n,) and from the goal's nodes (2,), neither gone on yet."""
+    seen = np.zeros(space.cols * space.rows * space.headings * 2, np.uint8)
+    forward = np.unique(seeds).astype(np.int32)
+    backward = np.array([goal for goal in goals if node_free(space, int(goal))], np.int32)
+    seen[forward] = FORWARD
+    seen[backward] |= BACKWARD
+    return Flood(
+        seen=seen,
+        back_steps=_turned_round(space.steps),
+        forward=_with_room(forward, space.steps.shape[1]),
+        backward=_with_room(backward, space.steps.shape[1]),
+        ends=np.array([0, len(forward), 0, len(backward)]),
+    )
+
+
+def spread(space: Space, flood: Flood, budget: int) -> tuple[Flood, Verdict]:
+    """Lets each flood go on from as many nodes as the budget says; the flood and a verdict."""
+    goals = flood.backward[: min(2, int(flood.ends[3]))]
+    if np.any(flood.seen[goals] & FORWARD):
+        return flood, Verdict.MET
+    for done in range(0, budget, _CHUNK):
+        chunk = min(_CHUNK, budget - done)
+        most = chunk * space.steps.shape[1]
+        flood = flood._replace(
+            forward=_with_room(flood.forward, most, int(flood.ends[1])),
+            backward=_with_room(flood.backward, most, int(flood.ends[3])),
+        )
+        for queue, steps, mine, at, dry in (
+            (flood.backward, flood.back_steps, BACKWARD, 2, Verdict.GOAL_ENCLOSED),
+            (flood.forward, space.steps, FORWARD, 0, Verdict.START_ENCLOSED),
+        ):
+            if _go_on(space, flood.seen, queue, steps, mine, flood.ends, at, chunk):
+                return flood, Verdict.MET
+            if flood.ends[at] == flood.ends[at + 1]:
+                return flood, dry
+    return flood, Verdict.OPEN
+
+
+_CHUNK = 1 << 12
+
+
+def _with_room(queue: NDArray[np.int32], room: int, used: int | None = None) -> NDArray[np.int32]:
+    """The queue, copied to a longer one if there is not room for so many more."""
+    used = len(queue) if used is None else used
+    if len(queue) >= used + room:
+        return queue
+    longer = np.empty(2 * (used + room), np.int32)
+    longer[:used] = queue[:used]
+    return longer
+
+
+def _turned_round(steps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Steps (2 H, K', 8) by the row in which they end, of the columns that the floods read."""
+    rows = len(steps)
+    lists: list[list[NDArray[np.int64]]] = [[] for _ in range(rows)]
+    for row in range(rows):
+        for step in steps[row]:
+            if step[COST_UM] == 0:
+                continue
+            back = step.copy()
+            back[D_NODE] = -step[D_NODE]
+            # A pair pose lies halfway: as far back from the one foot as on from the other.
+            back[D_HALF] = -step[D_HALF]
+            lists[step[TO_ROW]].append(back)
+    most = max(map(len, lists))
+    turned = np.zeros((rows, most, steps.shape[2]), np.int64)
+    for row, back_steps in enumerate(lists):
+        if back_steps:
+            turned[row, : len(back_steps)] = back_steps
+    return turned
+
+
+@njit(cache=True)
+def _go_on(
+    space: Space,
+    seen: NDArray[np.uint8],
+    queue: NDArray[np.int32],
+    steps: NDArray[np.int64],
+    mine: int,
+    ends: NDArray[np.int64],
+    at: int,
+    budget: int,
+) -> bool:
+    """Goes on from up to so many nodes of one flood; whether it met the other."""
+    begin, end = ends[at], ends[at + 1]
+    last = min(end, begin + budget)
+    rows = 2 * space.headings
+    other = 3 - mine
+    while begin < last:
+        node: int = np.int64(queue[begin])  # type: ignore[assignment]
+        begin += 1
+        row, cell = node % rows, node // rows
+        half_base = cell // space.cols * 4 * space.cols + cell % space.cols * 2
+        for k in range(steps.shape[1]):
+            if steps[row, k, COST_UM] == 0:
+                continue
+            to = node + steps[row, k, D_NODE]
+            mark = seen[to]
+            if mark & mine or not node_free(space, to):
+                continue
+            half = half_base + steps[row, k, D_HALF]
+            if not pair_known_free(space, half, steps[row, k, HALF_HEADING]):
+                continue
+            if mark & other:
+                return True
+            seen[to] = mark | mine
+            queue[end] = to
+            end += 1
+    ends[at], ends[at + 1] = begin, end
+    return False
