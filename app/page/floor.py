@@ -17,6 +17,8 @@ LINE_RGB = (178, 182, 188)
 WALL_RGB = (150, 134, 114)
 UNKNOWN_RGB = (150, 153, 158)
 _FLOOR_THICKNESS_M = 0.02
+# So deep that the colour does not shine through the floor far from the camera.
+_SLAB_DEPTH_M = 0.3
 _UNKNOWN_HEIGHT_M = 0.02
 _LINES_HEIGHT_M = 0.001
 _FIELD_OF_VIEW_RAD = math.radians(50)
@@ -34,12 +36,14 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     width_m, height_m = grid.size_m
     scene.add_frame("/map", show_axes=False, position=(x_m, y_m, 0.0), wxyz=turned(yaw_rad))
     centre = (width_m / 2, height_m / 2)
-    for name, size_m, depth_m in (("floor", 1.0, 0.5), ("slab", 0.99, 2.0)):
+    for name, depth_m in (("floor", _FLOOR_THICKNESS_M / 2), ("slab", _SLAB_DEPTH_M)):
+        # Nobody sees the slab past the floor's edge from where nothing but the floor hides it.
+        inset_m = 0.0 if name == "floor" else min(_SLAB_DEPTH_M, width_m / 4, height_m / 4)
         slab = scene.add_box(
             f"/map/{name}",
             color=FLOOR_RGB,
-            dimensions=(size_m * width_m, size_m * height_m, _FLOOR_THICKNESS_M),
-            position=(*centre, -depth_m * _FLOOR_THICKNESS_M),
+            dimensions=(width_m - 2 * inset_m, height_m - 2 * inset_m, _FLOOR_THICKNESS_M),
+            position=(*centre, -depth_m),
             cast_shadow=False,
         )
     scene.add_grid(

@@ -158,12 +158,6 @@ class Panel:
 
         planner.on_update(changed)
         epsilon.on_update(changed)
-        dark = self._gui.add_checkbox("Dark", False)
-        dark.on_update(
-            lambda _event: self._gui.configure_theme(
-                show_logo=False, show_share_button=False, dark_mode=dark.value
-            )
-        )
 
     def _add_keys(self) -> None:
         for tool, key in ((Tool.GOAL, "G"), (Tool.BOX, "B"), (Tool.ROBOT, "R"), (Tool.LOOK, "L")):

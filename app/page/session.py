@@ -7,6 +7,7 @@ import math
 import queue
 import threading
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -138,11 +139,11 @@ class Session:
             # A robot in a hurry would be past the place that the planner is thinking of.
             self.pace.is_idle = not self._rover.going or self._question is not None
             self._grant(self._wait_s())
-            self._listen()
+            self._try(self._listen)
             if self._rests():
                 self.pace.skip()
             elif self.pace.is_due():
-                self._tick()
+                self._try(self._tick)
             if time.monotonic() - self._shown_s >= _SNAPSHOT_EVERY_S:
                 self._shown_s = time.monotonic()
                 self.snapshot = self._look()
@@ -169,11 +170,15 @@ class Session:
             return
 
     def _try(self, action: Callable[[], None]) -> None:
-        """A wish that cannot be fulfilled is told of, and harms nothing."""
+        """What cannot be done is told of, and harms nothing; a fault stops the robot until told."""
         try:
             action()
         except (InputError, ValueError) as error:
             self._notice = Notice(text=str(error))
+        except Exception as error:
+            traceback.print_exc()
+            self._idle_s = math.inf
+            self._notice = Notice(text=f"a fault of the program: {error}; reset the robot")
 
     def _tick(self) -> None:
         rover = self._rover
