@@ -111,7 +111,7 @@ class WalkTask:
             self.walker.place(int(row), qpos, qvel)
             steps = int(rng.integers(4, MAX_STEPS + 1))
             track = draw_track(
-                rng, self.robot.step_model, self._start_feet, mode=self.mode, steps=steps
+                rng, self.robot.training_model, self._start_feet, mode=self.mode, steps=steps
             )
             wait_ticks = int(rng.integers(config.wait_ticks + 1))
             self.walker.follow(int(row), track, wait_ticks=wait_ticks)

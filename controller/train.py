@@ -119,6 +119,7 @@ class Trainer:
     def __init__(self, robot: Robot, config: TrainConfig, out: Path, *, threads: int, command: str):
         self.robot, self.config, self.out = robot, config, out
         self.threads, self.command = threads, command
+        self._revision = git_revision()  # of the code that runs, not of what is committed later
         torch.set_num_threads(config.ppo.learner_threads)
         torch.manual_seed(config.seed)
         task = WalkTask(
@@ -228,7 +229,7 @@ class Trainer:
                 "command": self.command,
                 "seed": config.seed,
                 "samples": self.segment * config.samples_per_segment,
-                "git_revision": git_revision(),
+                "git_revision": self._revision,
                 "assessed": self.history[-1]["assess"] if self.history else None,
                 "config": asdict(config),
             },

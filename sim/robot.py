@@ -18,13 +18,13 @@ Collision geoms are in group 3, visual ones in group 2 (no contacts).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.model import StepModel
+from planner.model import StepLimits, StepModel
 
 if TYPE_CHECKING:
     import mujoco
@@ -82,6 +82,8 @@ class Robot:
     `add_meshes` dresses a spec that `build` made, for pictures; a robot without it is drawn by its
     collision shapes. `needs` names the module of a package that `build` takes the model from, and
     the extra of this project that installs it, where that is not always installed.
+    `training_limits` are the step limits to train on; they may be wider than those of plans, so
+    that what is planned lies well inside what was learned. None for the same.
     """
 
     name: str
@@ -97,6 +99,12 @@ class Robot:
     build: Callable[[], mujoco.MjSpec]
     add_meshes: Callable[[mujoco.MjSpec], None] | None = None
     needs: tuple[str, str] | None = None
+    training_limits: StepLimits | None = None
+
+    @cached_property
+    def training_model(self) -> StepModel:
+        """The step model with the limits to train on."""
+        return replace(self.step_model, limits=self.training_limits or self.step_model.limits)
 
     @cached_property
     def half_sitting_rad(self) -> np.ndarray:

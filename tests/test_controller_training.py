@@ -41,7 +41,7 @@ def small_policy(robot, seed=0) -> Policy:
 @pytest.mark.parametrize("mode", [*MODES, None])
 def test_drawn_steps_alternate_and_keep_the_limits(name, mode):
     robot = get_robot(name)
-    model, rng = robot.step_model, np.random.default_rng(4)
+    model, rng = robot.training_model, np.random.default_rng(4)
     feet = np.array([[0.3, 0.1, 0, 0.5], [0.4, -0.1, 0, 0.5]])
     steps = 0
     for _ in range(40):
@@ -53,6 +53,18 @@ def test_drawn_steps_alternate_and_keep_the_limits(name, mode):
             assert model.limits.contain(relative, tolerance=1e-6), relative
             steps += 1
     assert steps > 100
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_what_is_planned_lies_within_what_is_trained(name):
+    robot = get_robot(name)
+    planned, trained = robot.step_model.limits, robot.training_model.limits
+    for inner, outer in (
+        (planned.x_m, trained.x_m),
+        (planned.y_m, trained.y_m),
+        (planned.yaw_rad, trained.yaw_rad),
+    ):
+        assert outer[0] <= inner[0] < inner[1] <= outer[1]
 
 
 def test_standing_mode_has_no_steps():

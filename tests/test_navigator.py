@@ -125,8 +125,9 @@ def test_simulation_that_leaves_the_finite_numbers_is_a_fall_with_a_reason():
 
 
 def test_wall_that_the_planner_does_not_know_of_is_a_collision():
-    walker = navigator(with_wall(empty_map(), 0.5, -1.0, 0.6, 1.0), (1.5, 0.0, 0.0))
-    walker._planner = Planner(empty_map(), ROBOT.step_model)
+    blind = Planner(empty_map(), ROBOT.step_model)
+    wall = with_wall(empty_map(), 0.5, -1.0, 0.6, 1.0)
+    walker = navigator(wall, (1.5, 0.0, 0.0), planner=blind)
     walk(walker)
     assert walker.outcome is Outcome.COLLIDED
     assert walker.outcome.exit_code == 4
