@@ -27,8 +27,9 @@ FloatArray = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 _BUDGET = 4096  # expansions between two looks at the clock
 # A search that has no plan after so many expansions takes turns with the floods from start and
-# goal, which may find that there is none: so many expansions against so many nodes of each flood.
-_PATIENCE, _TURN, _FLOOD_TURN = 1 << 14, 1 << 13, 1 << 15
+# goal, which may find that there is none: so many expansions against so many nodes of each flood,
+# which double from turn to turn, because the longer there is no plan the likelier there is none.
+_PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 13, 1 << 18
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,6 +178,7 @@ class _Run:
         self.verdict = Verdict.OPEN
         self._seeds = seeds
         self._flood: Flood | None = None
+        self._flood_turn = _FLOOD_TURN
 
     def result(self) -> Result:
         """Runs all rounds and reads the plan from the tree."""
@@ -245,7 +247,8 @@ class _Run:
         if self._may_be_enclosed() and self._expansions >= _PATIENCE:
             if self._flood is None:
                 self._flood = new_flood(self.request.space, self._seeds, self.tree.goals)
-            self._flood, self.verdict = spread(self.request.space, self._flood, _FLOOD_TURN)
+            self._flood, self.verdict = spread(self.request.space, self._flood, self._flood_turn)
+            self._flood_turn = min(2 * self._flood_turn, _FLOOD_TURN_MOST)
         return self.verdict in _ENCLOSED
 
     def _may_be_enclosed(self) -> bool:

@@ -3,8 +3,8 @@
 A* looks at the states near the best way first, so it learns that there is no way only when it has
 seen every pose the robot can come to. A flood asks less of each state: whether it was reached, not
 at what cost. One flood goes forward from the first steps and one backward from the goal feet, in
-turns, so the smaller enclosed side is exhausted first and a goal in a pocket costs no more than
-the pocket. Both follow the very steps and checks of the search, so neither verdict is a guess.
+turns, so the smaller enclosed side is exhausted first and a goal in a pocket costs little more
+than the pocket. Each goes on from its newest state, so that they soon meet where there is a way. Both follow the very steps and checks of the search, so neither verdict is a guess.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Flood(NamedTuple):
     """State of the two floods, kept between calls of `spread`.
 
     seen (nodes,): FORWARD or BACKWARD where a flood has come, 0 elsewhere. back_steps: the steps
-    that end in a row, as `Space.steps` has those that begin in it. forward, backward: the nodes
-    come to, in the order in which they go on; ends (4,): how many of each have gone on and how
-    many were come to.
+    that end in a row, as `Space.steps` has those that begin in it. forward, backward: stacks of
+    the nodes that have yet to go on. ends (4,): for each of the two, how many are on the stack and
+    how many were ever come to.
     """
 
     seen: NDArray[np.uint8]
@@ -67,29 +67,28 @@ def new_flood(space: Space, seeds: NDArray[np.int64], goals: NDArray[np.int64]) 
         back_steps=_turned_round(space.steps),
         forward=_with_room(forward, space.steps.shape[1]),
         backward=_with_room(backward, space.steps.shape[1]),
-        ends=np.array([0, len(forward), 0, len(backward)]),
+        ends=np.array([len(forward), len(forward), len(backward), len(backward)]),
     )
 
 
 def spread(space: Space, flood: Flood, budget: int) -> tuple[Flood, Verdict]:
     """Lets each flood go on from as many nodes as the budget says; the flood and a verdict."""
-    goals = flood.backward[: min(2, int(flood.ends[3]))]
-    if np.any(flood.seen[goals] & FORWARD):
+    if np.any(flood.seen[flood.backward[: min(2, int(flood.ends[2]))]] == FORWARD | BACKWARD):
         return flood, Verdict.MET
     for done in range(0, budget, _CHUNK):
         chunk = min(_CHUNK, budget - done)
         most = chunk * space.steps.shape[1]
         flood = flood._replace(
-            forward=_with_room(flood.forward, most, int(flood.ends[1])),
-            backward=_with_room(flood.backward, most, int(flood.ends[3])),
+            forward=_with_room(flood.forward, most, int(flood.ends[0])),
+            backward=_with_room(flood.backward, most, int(flood.ends[2])),
         )
-        for queue, steps, mine, at, dry in (
+        for stack, steps, mine, at, dry in (
             (flood.backward, flood.back_steps, BACKWARD, 2, Verdict.GOAL_ENCLOSED),
             (flood.forward, space.steps, FORWARD, 0, Verdict.START_ENCLOSED),
         ):
-            if _go_on(space, flood.seen, queue, steps, mine, flood.ends, at, chunk):
+            if _go_on(space, flood.seen, stack, steps, mine, flood.ends, at, chunk):
                 return flood, Verdict.MET
-            if flood.ends[at] == flood.ends[at + 1]:
+            if flood.ends[at] == 0:
                 return flood, dry
     return flood, Verdict.OPEN
 
@@ -97,13 +96,13 @@ def spread(space: Space, flood: Flood, budget: int) -> tuple[Flood, Verdict]:
 _CHUNK = 1 << 12
 
 
-def _with_room(queue: NDArray[np.int32], room: int, used: int | None = None) -> NDArray[np.int32]:
-    """The queue, copied to a longer one if there is not room for so many more."""
-    used = len(queue) if used is None else used
-    if len(queue) >= used + room:
-        return queue
+def _with_room(stack: NDArray[np.int32], room: int, used: int | None = None) -> NDArray[np.int32]:
+    """The stack, copied to a longer one if there is not room for so many more."""
+    used = len(stack) if used is None else used
+    if len(stack) >= used + room:
+        return stack
     longer = np.empty(2 * (used + room), np.int32)
-    longer[:used] = queue[:used]
+    longer[:used] = stack[:used]
     return longer
 
 
@@ -132,7 +131,7 @@ def _turned_round(steps: NDArray[np.int64]) -> NDArray[np.int64]:
 def _go_on(
     space: Space,
     seen: NDArray[np.uint8],
-    queue: NDArray[np.int32],
+    stack: NDArray[np.int32],
     steps: NDArray[np.int64],
     mine: int,
     ends: NDArray[np.int64],
@@ -140,13 +139,13 @@ def _go_on(
     budget: int,
 ) -> bool:
     """Goes on from up to so many nodes of one flood; whether it met the other."""
-    begin, end = ends[at], ends[at + 1]
-    last = min(end, begin + budget)
+    top = ends[at]
     rows = 2 * space.headings
     other = 3 - mine
-    while begin < last:
-        node: int = np.int64(queue[begin])  # type: ignore[assignment]
-        begin += 1
+    while top > 0 and budget > 0:
+        # The newest first: its neighbours are still in the processor's cache.
+        top, budget = top - 1, budget - 1
+        node: int = np.int64(stack[top])  # type: ignore[assignment]
         row, cell = node % rows, node // rows
         half_base = cell // space.cols * 4 * space.cols + cell % space.cols * 2
         for k in range(steps.shape[1]):
@@ -162,7 +161,8 @@ def _go_on(
             if mark & other:
                 return True
             seen[to] = mark | mine
-            queue[end] = to
-            end += 1
-    ends[at], ends[at + 1] = begin, end
+            stack[top] = to
+            top += 1
+            ends[at + 1] += 1
+    ends[at] = top
     return False
