@@ -1,0 +1,170 @@
+"""The page in a real browser: what a person sees, clicks and waits for.
+
+Needs Debian's chromium (or the browser that FOOTFALL_CHROMIUM names) and Playwright for Python;
+skipped where one of them is missing.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maps.grid import OccupancyGrid
+
+ROOT = Path(__file__).resolve().parent.parent
+BROWSER = os.environ.get("FOOTFALL_CHROMIUM") or shutil.which("chromium")
+ARGUMENTS = [
+    *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+    "--no-first-run",
+]
+# The browser draws without a graphics card, and slowly.
+PATIENCE_MS = 120_000
+# A complaint of the viewer's own about its dragging; nothing comes of it.
+HARMLESS = "Unable to preventDefault inside passive event listener"
+
+try:
+    from playwright.sync_api import Page, sync_playwright
+except ImportError:
+    pytest.skip("no Playwright: pip install playwright", allow_module_level=True)
+if BROWSER is None:
+    pytest.skip("no browser: apt-get install chromium", allow_module_level=True)
+
+
+class Visit:
+    """A page that is open in the browser, and what it asked for and complained of."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.errors: list[str] = []
+        self.hosts: set[str] = set()
+        page.set_default_timeout(PATIENCE_MS)
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", self._heard)
+        page.on("request", lambda request: self._asked(request.url))
+        page.on("websocket", lambda socket: self._asked(socket.url))
+
+    def _heard(self, message: Any) -> None:
+        if message.type == "error" and HARMLESS not in message.text:
+            self.errors.append(message.text)
+
+    def _asked(self, url: str) -> None:
+        if not url.startswith(("data:", "blob:")):
+            self.hosts.add(re.sub(r"^\w+://([^/:]*).*$", r"\1", url))
+
+    def heading(self, text: str) -> None:
+        """Waits until the status begins with this."""
+        self.page.locator("h3", has_text=re.compile(f"^{text}")).wait_for()
+
+    def number(self, pattern: str) -> float:
+        """The number in the panel's text."""
+        found = re.search(pattern, self.page.inner_text("body"))
+        assert found, f"{pattern} is not on the page"
+        return float(found[1])
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=ARGUMENTS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def visit(browser: Any) -> Iterator[Visit]:
+    page = browser.new_page(viewport={"width": 900, "height": 600})
+    yield Visit(page)
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The image of an empty hall, 8 by 6 m, with the start near its left end."""
+    import cv2
+
+    folder = tmp_path_factory.mktemp("hall")
+    grid = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05)
+    cv2.imwrite(str(folder / "hall.png"), np.full(grid.shape, 255, np.uint8))
+    (folder / "hall.yaml").write_text(
+        "image: hall.png\nresolution: 0.05\norigin: [-2, -3, 0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    return folder / "hall.png"
+
+
+@pytest.fixture(scope="module")
+def address(hall: Path) -> Iterator[str]:
+    """Where `serve` says that its page is."""
+    words = [sys.executable, "main.py", "serve", "--map", str(hall), "--port", "0"]
+    server = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    assert server.stderr is not None
+    line = server.stderr.readline()
+    found = re.search(r"http://127\.0\.0\.1:\d+", line)
+    try:
+        assert found, line
+        yield found[0]
+    finally:
+        server.terminate()
+        server.wait(timeout=30)
+
+
+@pytest.mark.slow
+def test_a_goal_is_clicked_and_reached_round_a_box_that_comes_up(visit, address):
+    page = visit.page
+    page.goto(address)
+    visit.heading("Standing")
+    # The floor far behind the robot, as the camera sees it.
+    page.mouse.click(420, 250)
+    visit.heading("(Planning|Walking)")
+    visit.heading("Walking")
+    assert visit.number(r"plan after (\d+) ms") > 0
+    assert visit.number(r"step \d+ of (\d+)") > 3
+
+    page.get_by_role("button", name="Box", exact=True).click()
+    page.get_by_text("click the floor to set a box down").wait_for()
+    page.mouse.click(350, 300)
+    page.wait_for_function("/[1-9]\\d* replans/.test(document.body.innerText)")
+    page.get_by_role("button", name="Fastest").click()
+    page.wait_for_function("/Reached|Collided|Fell|Stopped/.test(document.body.innerText)")
+    assert visit.errors == []
+    assert visit.hosts == {"127.0.0.1"}
+
+
+@pytest.mark.slow
+def test_what_is_impossible_is_told_and_a_pose_offered(visit, address):
+    page = visit.page
+    page.goto(address)
+    page.get_by_role("button", name="Reset", exact=True).click()
+    visit.heading("Standing")
+    page.get_by_label("x, m", exact=True).fill("1")
+    page.get_by_label("y, m", exact=True).fill("2.9")
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.get_by_text("no plan: goal:").wait_for()
+    page.get_by_role("button", name="Go to the nearest free pose").click()
+    visit.heading("Walking")
+    assert visit.errors == []
+
+
+@pytest.mark.slow
+def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
+    words = [sys.executable, "main.py", "navigate", "--map", str(hall), "--goal", "0.6,0,0"]
+    words += ["--out", str(tmp_path), "--html", str(tmp_path / "walk.html")]
+    subprocess.run(words, cwd=ROOT, check=False, capture_output=True)
+    visit.page.goto((tmp_path / "walk.html").as_uri())
+    shown = visit.page.locator("input[type=text], input[inputmode]").first
+    shown.wait_for()
+    visit.page.wait_for_function(
+        "[...document.querySelectorAll('input')].some(input => parseFloat(input.value) > 0.5)"
+    )
+    assert visit.errors == []
+    assert visit.hosts <= {""}
