@@ -29,7 +29,7 @@ _BUDGET = 4096  # expansions between two looks at the clock
 # A search that has no plan after so many expansions takes turns with the floods from start and
 # goal, which may find that there is none: so many expansions against so many nodes of each flood,
 # which double from turn to turn, because the longer there is no plan the likelier there is none.
-_PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 13, 1 << 18
+_PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
 
 
 @dataclass(frozen=True, kw_only=True)

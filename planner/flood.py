@@ -4,7 +4,8 @@ A* looks at the states near the best way first, so it learns that there is no wa
 seen every pose the robot can come to. A flood asks less of each state: whether it was reached, not
 at what cost. One flood goes forward from the first steps and one backward from the goal feet, in
 turns, so the smaller enclosed side is exhausted first and a goal in a pocket costs little more
-than the pocket. Each goes on from its newest state, so that they soon meet where there is a way. Both follow the very steps and checks of the search, so neither verdict is a guess.
+than the pocket. Each goes on from its newest state, so that they soon meet where there is a way.
+Both follow the very steps and checks of the search, so neither verdict is a guess.
 """
 
 from __future__ import annotations
