@@ -10,6 +10,7 @@ Every plan is checked by exact polygons.
 from __future__ import annotations
 
 import json
+import math
 import resource
 import sys
 import time
@@ -114,13 +115,15 @@ def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Argum
             wrong += len(faults) > 0
             for fault in faults[:1]:
                 print(f"query {query['id']}: {fault}", file=sys.stderr)
-        known = query["best_known_cost_m"] or best.cost_m
+        # A plan that was not found in time has no cost to compare with.
+        best_m = best.cost_m if best.found else math.nan
+        known_m = query["best_known_cost_m"] or best_m
         columns.append(
             (
                 first_s,
-                first.cost_m / best.cost_m,
+                first.cost_m / best_m,
                 best_s,
-                best.cost_m / known,
+                best_m / known_m,
                 best.found and best.epsilon == 1.0,
                 best.expansions,
             )
@@ -144,9 +147,9 @@ def row_of(name: str, rows: Rows) -> str:
         return f"{np.median(values) * unit:.1f} / {np.percentile(values, 95) * unit:.1f}"
 
     return (
-        f"| {name} | {pair(rows.first_s, 1e3)} | {np.median(rows.first_ratio):.2f} "
+        f"| {name} | {pair(rows.first_s, 1e3)} | {np.nanmedian(rows.first_ratio):.2f} "
         f"| {pair(rows.best_s, 1e3)} ({int(rows.proven.sum())} of {len(rows.proven)}) "
-        f"| {np.median(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} | {rows.wrong} |"
+        f"| {np.nanmedian(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} | {rows.wrong} |"
     )
 
 
