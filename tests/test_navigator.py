@@ -133,7 +133,10 @@ def test_wall_that_the_planner_does_not_know_of_is_a_collision():
     assert walker.outcome.exit_code == 4
     x, _ = walker.walker.sim.qpos[0, :2]
     assert 0.0 < x < 0.5
-    assert min_clearance_m(walker.scene, np.array(walker.qpos)) == pytest.approx(0.0, abs=0.02)
+    # Touching is felt at once, but within its control step the robot leans in a little.
+    clearance_m = min_clearance_m(walker.scene, np.array(walker.qpos))
+    assert clearance_m is not None
+    assert -0.05 < clearance_m <= 0.0
 
 
 def test_goal_behind_a_closed_wall_has_no_path():
