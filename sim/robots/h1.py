@@ -139,7 +139,7 @@ ROBOT = Robot(
     step_model=StepModel(
         foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
         body=BodyShape(length_m=0.36, width_m=0.56),
-        limits=StepLimits(x_m=(-0.20, 0.30), y_m=(0.32, 0.46), yaw_rad=(-0.15, 0.3)),
+        limits=StepLimits(x_m=(-0.17, 0.29), y_m=(0.33, 0.46), yaw_rad=(-0.13, 0.27)),
         steps=STEPS,
         stance_width_m=0.40,
         turn_cost_m=0.05,
@@ -160,4 +160,5 @@ ROBOT = Robot(
     build=build,
     needs=(PACKAGE, EXTRA),
     add_meshes=add_meshes,
+    training_limits=StepLimits(x_m=(-0.20, 0.32), y_m=(0.31, 0.47), yaw_rad=(-0.17, 0.33)),
 )
