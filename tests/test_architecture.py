@@ -16,7 +16,10 @@ MAY_IMPORT = {
     "maps": ("maps",),
     "planner": ("planner", "maps"),
     "sim": ("sim", "maps", "planner.model"),
-    "controller": ("controller", "maps", "sim", "planner.model", "planner.plan"),
+    "controller": (
+        *("controller", "maps", "sim"),
+        *("planner.model", "planner.plan", "planner.corpus"),
+    ),
     "app": PACKAGES,
 }
 
