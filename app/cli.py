@@ -71,7 +71,7 @@ def _dispatch(arguments: list[str]) -> int:
         example=f"{PROGRAM} {command.example}",
     )
     if not command.draws:
-        from app.rendering import switch_gl_off
+        from sim.gl import switch_gl_off
 
         switch_gl_off()
     return command.load_run()(options)

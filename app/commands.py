@@ -19,7 +19,7 @@ class Command:
         run: `module:function`, called with the options; it returns the exit code.
         example: A command line that works, without `python main.py`.
         draws: Whether it may draw the robot. It then settles the GL library itself, before it
-            imports MuJoCo (`prepare_gl` in app/rendering.py); for others rendering is off.
+            imports MuJoCo (`prepare_gl` in sim/gl.py); for others rendering is off.
     """
 
     summary: str

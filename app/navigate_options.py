@@ -10,7 +10,7 @@ from typing import Annotated
 from app.inputs import MapOptions, RobotName
 from app.options import FolderOption, OptionalFile, Pose, PoseOption, whole_number
 from app.progress import say
-from app.rendering import NoGlError, prepare_gl, switch_gl_off
+from sim.gl import NoGlError, prepare_gl, switch_gl_off
 
 
 @dataclass(frozen=True, kw_only=True)

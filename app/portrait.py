@@ -15,7 +15,8 @@ from app.inputs import RobotName, find_robot
 from app.options import FileOption
 from app.output import PICTURE_ENDINGS, require_writable, write_picture
 from app.parsing import parse_options
-from app.rendering import NoGlError, Picture, Recording, View, drawing, prepare_gl
+from app.rendering import Picture, Recording, View, drawing
+from sim.gl import NoGlError, prepare_gl
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
 
 VIEWS_DEG = (180.0, 145.0, 90.0, 30.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
-from app.rendering import NO_GL
+from sim.gl import NO_GL
 
 ROOT = Path(__file__).resolve().parent.parent
 

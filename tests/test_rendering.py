@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from app.cutaway import Boxes, eye_position, hides, points_to_see
-from app.rendering import NO_GL, NoGlError, Recording, View, camera_path, prepare_gl
+from app.rendering import Recording, View, camera_path
 from app.strip import tile
+from sim.gl import NO_GL, NoGlError, prepare_gl
 
 
 def recording_of(xy_yaw: np.ndarray) -> Recording:
@@ -151,7 +152,7 @@ def test_the_way_that_was_asked_for_is_tried_first(monkeypatch):
 
 
 def test_mujoco_can_be_imported_whatever_the_variable_says():
-    code = "from app.rendering import switch_gl_off; switch_gl_off(); import mujoco"
+    code = "from sim.gl import switch_gl_off; switch_gl_off(); import mujoco"
     environment = {**os.environ, "MUJOCO_GL": "no such library"}
     root = Path(__file__).resolve().parent.parent
     subprocess.run([sys.executable, "-c", code], env=environment, cwd=root, check=True)
@@ -160,7 +161,8 @@ def test_mujoco_can_be_imported_whatever_the_variable_says():
 DRAW = """
 import sys
 from pathlib import Path
-from app.rendering import NoGlError, Recording, prepare_gl
+from app.rendering import Recording
+from sim.gl import NoGlError, prepare_gl
 try:
     prepare_gl()
 except NoGlError as error:
