@@ -11,28 +11,35 @@ from controller.env import TaskConfig, WalkTask
 from controller.policy import Policy
 from sim.robot import Robot
 
+_PER_LANDING = ("error_m", "heading_error_rad", "offset_m")
+
 
 @dataclass(frozen=True, kw_only=True)
 class ModeResult:
-    """Episodes of one mode: how many fell, and how far feet came to rest from their steps."""
+    """Episodes of one mode: how many fell, and how far feet came to rest from their steps.
+
+    `episode_ticks` (episodes,) is how long each lasted. Per landing (N,): the horizontal distance,
+    the heading error (not negative), and `landing_offset_m` (N, 2), the way from the step to the
+    foot along and across (left of) the step's own heading.
+    """
 
     mode: str
     episodes: int
     falls: int
+    episode_ticks: np.ndarray
     landing_error_m: np.ndarray
     landing_heading_error_rad: np.ndarray
+    landing_offset_m: np.ndarray
 
     @classmethod
     def joined(cls, parts: Sequence[ModeResult]) -> ModeResult:
         """Several results of one mode as one."""
+        arrays = ("episode_ticks", *(f"landing_{name}" for name in _PER_LANDING))
         return cls(
             mode=parts[0].mode,
             episodes=sum(part.episodes for part in parts),
             falls=sum(part.falls for part in parts),
-            landing_error_m=np.concatenate([part.landing_error_m for part in parts]),
-            landing_heading_error_rad=np.concatenate(
-                [part.landing_heading_error_rad for part in parts]
-            ),
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays},
         )
 
     @property
@@ -71,24 +78,41 @@ def assess_mode(
     task = WalkTask(robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config)
     alive = np.ones(episodes, dtype=bool)
     fell = np.zeros(episodes, dtype=bool)
+    ticks = np.zeros(episodes, dtype=np.int64)
     errors: list[np.ndarray] = []
     headings: list[np.ndarray] = []
-    observation = task.observe()
+    offsets: list[np.ndarray] = []
+    observation, rows = task.observe(), np.arange(episodes)
     for _ in range(task.config.episode_ticks):
+        side = task.walker.cursor.side
+        asked = task.walker.cursor.foot_targets[rows, side]
         step = task.step(policy.act_scaled(observation))
         observation = step.observation
+        ticks += alive
         counted = alive & step.landed
         errors.append(step.landing_error_m[counted])
         headings.append(step.landing_heading_error_rad[counted])
+        # The sensors still show the step, not the new episodes that may have begun after it.
+        placed = task.walker.soles_world()[rows, side]
+        offsets.append(in_step_frame(asked, placed)[counted])
         fell |= alive & step.terminated
         alive &= ~step.terminated & ~step.truncated
     return ModeResult(
         mode=mode or "mixed",
         episodes=episodes,
         falls=int(fell.sum()),
+        episode_ticks=ticks,
         landing_error_m=np.concatenate(errors),
         landing_heading_error_rad=np.concatenate(headings),
+        landing_offset_m=np.concatenate(offsets),
     )
+
+
+def in_step_frame(asked: np.ndarray, placed: np.ndarray) -> np.ndarray:
+    """Horizontal way (B, 2) from poses asked for (B, 4) to poses placed, in the frame of asked."""
+    dx, dy = (placed - asked)[:, :2].T
+    cos, sin = np.cos(asked[:, 3]), np.sin(asked[:, 3])
+    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=1)
 
 
 def at_navigation_rate(config: TaskConfig | None = None) -> TaskConfig:

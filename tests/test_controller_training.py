@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.assess import assess_mode
+from controller.assess import assess_mode, in_step_frame
 from controller.env import TaskConfig, WalkTask
 from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
 from controller.ppo import PpoConfig
@@ -135,6 +135,15 @@ def test_held_out_assessment_repeats_and_counts_each_landing():
     assert first.falls == 0
     assert np.array_equal(first.landing_error_m, again.landing_error_m)
     assert not np.array_equal(first.landing_error_m, other.landing_error_m)
+    assert np.hypot(*first.landing_offset_m.T) == pytest.approx(first.landing_error_m)
+    assert first.episode_ticks.tolist() == [150] * 4
+
+
+def test_offsets_are_along_and_across_the_step():
+    """A step that heads along +y, and a foot 3 cm before it and 1 cm to its left."""
+    asked = np.array([[1.0, 2.0, 0.0, np.pi / 2]])
+    placed = np.array([[0.99, 2.03, 0.0, 0.0]])
+    assert in_step_frame(asked, placed)[0] == pytest.approx([0.03, 0.01])
 
 
 def test_policy_acts_as_its_layers_worked_by_hand():
