@@ -5,35 +5,24 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.ara import Request, Result, build_heuristic, plan_ara
+from planner.ara import Request, Result, build_heuristic
+from planner.backends import backend
 from planner.collision import terrain_of
-from planner.endgame import Endgame, build_endgame
 from planner.endpoints import suggestion, what_blocks
-from planner.exits import Exits, build_exits
-from planner.guide import Potential, build_potential
-from planner.lattice import StepTable, build_step_table
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
 from planner.search import Heuristic
 from planner.space import Space, build_space
+from planner.tables import tables_of
 
 FloatArray = NDArray[np.float64]
 _ALREADY_THERE_M = 1e-6
-
-
-@lru_cache(maxsize=8)
-def _tables(model: StepModel) -> tuple[StepTable, Potential, Endgame, Exits]:
-    table = build_step_table(model)
-    potential = build_potential(model, table)
-    endgame = build_endgame(model, table, potential)
-    return table, potential, endgame, build_exits(table, potential)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +48,7 @@ class Planner:
         self.model = model
         self.options = options or PlannerOptions()
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
-        self._table, self._potential, self._endgame, self._exits = _tables(model)
+        self._table, self._potential, self._endgame, self._exits = tables_of(model)
         self._toward: tuple[Pose, Space, Heuristic] | None = None
 
     def plan(
@@ -156,18 +145,15 @@ class Planner:
             space = build_space(self.grid, self._terrain, self.model, self._table, query.goal)
             heuristic = build_heuristic(space, self._potential, self._endgame, self._exits)
             self._toward = query.goal, space, heuristic
-        result = plan_ara(
-            Request(
-                space=self._toward[1],
-                model=self.model,
-                heuristic=self._toward[2],
-                feet_lattice=_to_lattice(query.start_feet_world, query.goal),
-                stands=self._stands_too_near(query),
-                first_side=query.first_side,
-            ),
-            self.options,
-            began,
+        request = Request(
+            space=self._toward[1],
+            model=self.model,
+            heuristic=self._toward[2],
+            feet_lattice=_to_lattice(query.start_feet_world, query.goal),
+            stands=self._stands_too_near(query),
+            first_side=query.first_side,
         )
+        result = backend(self.options.name)(request, self.options, began)
         plan = replace(
             plan,
             status=result.status,

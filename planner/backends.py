@@ -1,0 +1,16 @@
+"""Which search answers to which name: one call for all, a request in and a result out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from planner.ara import Request, Result, plan_ara
+from planner.options import PlannerOptions
+
+# Takes the request, the options and the time.perf_counter() of the request's arrival.
+Backend = Callable[[Request, PlannerOptions, float], Result]
+
+
+def backend(name: str) -> Backend:
+    """The search of that name, one of `PLANNERS`. What a search loads is loaded here."""
+    return {"ara": plan_ara}[name]
