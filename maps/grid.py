@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+HIGHEST_M = 1000.0  # so that heights in micrometres fit into 32 bits
 
 
 class Cell(IntEnum):
@@ -30,11 +31,14 @@ class OccupancyGrid:
     """Cells (H, W) uint8 of `Cell` values, row 0 at the smallest y; read-only.
 
     origin: pose x_m, y_m, yaw_rad in the world of the lower-left corner of cell (0, 0).
+    elevation_m (H, W): height of the floor in each cell, to the micrometre; None where z is 0
+    everywhere.
     """
 
     cells: NDArray[np.uint8]
     resolution_m: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    elevation_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
         cells = np.array(self.cells, dtype=np.uint8, order="C")
@@ -48,6 +52,8 @@ class OccupancyGrid:
             raise ValueError(f"origin {self.origin} must be three finite numbers x, y, yaw")
         cells.flags.writeable = False
         object.__setattr__(self, "cells", cells)
+        if self.elevation_m is not None:
+            object.__setattr__(self, "elevation_m", _elevation(self.elevation_m, cells.shape))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -70,6 +76,18 @@ class OccupancyGrid:
     def with_cells(self, cells: NDArray[np.uint8]) -> OccupancyGrid:
         """The same grid with other cells (H, W)."""
         return replace(self, cells=cells)
+
+    def height_m(self, xy_world: ArrayLike) -> FloatArray:
+        """Height (...) of the floor at points (..., 2) of the world; off the map that of its edge.
+
+        On the border of two cells it is that of the one with the larger x or y of the grid.
+        """
+        cell = self.world_to_cell(xy_world)
+        if self.elevation_m is None:
+            return np.zeros(cell.shape[:-1])
+        row, col = np.moveaxis(np.clip(cell, 0, np.array(self.cells.shape) - 1), -1, 0)
+        heights: FloatArray = self.elevation_m[row, col]
+        return heights
 
     def world_to_grid(self, xy_world: ArrayLike) -> FloatArray:
         """Points (..., 2) of the world in metres of the grid frame."""
@@ -107,3 +125,14 @@ class OccupancyGrid:
         x_min, y_min = corners.min(axis=0)
         x_max, y_max = corners.max(axis=0)
         return float(x_min), float(y_min), float(x_max), float(y_max)
+
+
+def _elevation(values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    """Heights (H, W) in whole micrometres, so that sums and differences of them repeat exactly."""
+    heights: FloatArray = np.round(np.array(values, dtype=float, order="C"), 6) + 0.0
+    if heights.shape != shape:
+        raise ValueError(f"elevation_m {heights.shape} must have the shape of the cells {shape}")
+    if not np.all(np.abs(heights) <= HIGHEST_M):
+        raise ValueError(f"elevation_m must be finite and within +-{HIGHEST_M:g} m")
+    heights.flags.writeable = False
+    return heights

@@ -1,4 +1,4 @@
-"""Draws the project's own maps: `python -m maps.make_maps` writes room and office beside this file.
+"""Draws the project's own maps: `python -m maps.make_maps` writes them beside this file.
 
 Furniture is listed in metres of the map frame, so a wall is where its numbers say.
 """
@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 Box = tuple[float, float, float, float]
 Disc = tuple[float, float, float]
+HEIGHT_PER_GREY_M = 0.0025
 
 
 @dataclass(frozen=True, kw_only=True)
 class FloorPlan:
     """Boxes (x0, y0, x1, y1) and discs (x, y, radius) that stand on a floor, in metres.
 
-    bounds: x0, y0, x1, y1 of the picture. unknown: boxes that nobody has ever seen.
+    bounds: x0, y0, x1, y1 of the picture. unknown: boxes that nobody has ever seen. treads: boxes
+    and the height of the floor in each; of two that overlap the later counts, elsewhere it is 0.
     """
 
     name: str
@@ -30,6 +32,7 @@ class FloorPlan:
     furniture: tuple[Box, ...]
     discs: tuple[Disc, ...] = ()
     unknown: tuple[Box, ...] = ()
+    treads: tuple[tuple[Box, float], ...] = ()
 
 
 def _outline(bounds: Box, thickness_m: float) -> tuple[Box, ...]:
@@ -119,21 +122,31 @@ OFFICE = FloorPlan(
 )
 
 
+_STAIRS_BOUNDS = (-2.0, -2.5, 10.2, 2.5)
+STAIRS = FloorPlan(
+    name="stairs",
+    bounds=_STAIRS_BOUNDS,
+    resolution_m=0.025,
+    walls=_outline(_STAIRS_BOUNDS, 0.1),
+    # Two rooms, and between them nothing but the stairs, 1.8 m wide.
+    furniture=((2.0, -2.4, 6.2, -0.9), (2.0, 0.9, 6.2, 2.4)),
+    # Six steps of 10 cm up, run 0.30 m, a landing of 1.2 m, and six down. Walls stand on the
+    # treads, so the picture of heights says so there as well.
+    treads=tuple(
+        ((2.0 + 0.3 * i, -2.5, 6.2 - 0.3 * i, 2.5), round(0.1 * (i + 1), 1)) for i in range(6)
+    ),
+)
+
+
 def draw(plan: FloorPlan) -> NDArray[np.uint8]:
     """Picture of a floor plan: white floor, black obstacles, grey 205 unknown; row 0 is the top."""
     x0, y0, x1, y1 = plan.bounds
     cols, rows = round((x1 - x0) / plan.resolution_m), round((y1 - y0) / plan.resolution_m)
     image = np.full((rows, cols), 254, np.uint8)
-
-    def fill(box: Box, value: int) -> None:
-        left, right = (round((x - x0) / plan.resolution_m) for x in (box[0], box[2]))
-        top, bottom = (round((y1 - y) / plan.resolution_m) for y in (box[3], box[1]))
-        image[top:bottom, left:right] = value
-
     for box in plan.unknown:
-        fill(box, 205)
+        _fill(image, plan, box, 205)
     for box in (*plan.walls, *plan.furniture):
-        fill(box, 0)
+        _fill(image, plan, box, 0)
     x_m = x0 + (np.arange(cols) + 0.5) * plan.resolution_m
     y_m = y1 - (np.arange(rows) + 0.5) * plan.resolution_m
     for x, y, radius in plan.discs:
@@ -141,18 +154,38 @@ def draw(plan: FloorPlan) -> NDArray[np.uint8]:
     return image
 
 
+def draw_heights(plan: FloorPlan) -> NDArray[np.uint8]:
+    """Picture of the heights of a floor plan, HEIGHT_PER_GREY_M metres per grey value."""
+    image = np.zeros_like(draw(plan))
+    for box, height_m in plan.treads:
+        _fill(image, plan, box, round(height_m / HEIGHT_PER_GREY_M))
+    return image
+
+
+def _fill(image: NDArray[np.uint8], plan: FloorPlan, box: Box, value: int) -> None:
+    x0, _, _, y1 = plan.bounds
+    left, right = (round((x - x0) / plan.resolution_m) for x in (box[0], box[2]))
+    top, bottom = (round((y1 - y) / plan.resolution_m) for y in (box[3], box[1]))
+    image[top:bottom, left:right] = value
+
+
 def write(plan: FloorPlan, folder: Path) -> None:
-    """Writes NAME.png and NAME.yaml of a floor plan."""
-    cv2.imwrite(str(folder / f"{plan.name}.png"), draw(plan), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    """Writes NAME.png and NAME.yaml of a floor plan, and NAME_height.png if it has treads."""
+    smallest = [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    cv2.imwrite(str(folder / f"{plan.name}.png"), draw(plan), smallest)
+    heights = ""
+    if plan.treads:
+        cv2.imwrite(str(folder / f"{plan.name}_height.png"), draw_heights(plan), smallest)
+        heights = f"elevation: {plan.name}_height.png\nelevation_scale: {HEIGHT_PER_GREY_M}\n"
     (folder / f"{plan.name}.yaml").write_text(
         f"image: {plan.name}.png\n"
         f"resolution: {plan.resolution_m}\n"
         f"origin: [{plan.bounds[0]}, {plan.bounds[1]}, 0.0]\n"
-        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\nmode: trinary\n",
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\nmode: trinary\n" + heights,
         encoding="utf-8",
     )
 
 
 if __name__ == "__main__":
-    for floor_plan in (ROOM, OFFICE):
+    for floor_plan in (ROOM, OFFICE, STAIRS):
         write(floor_plan, Path(__file__).parent)

@@ -4,6 +4,9 @@ p is how occupied a pixel looks: 1 - luminance / 255, or luminance / 255 with ne
 p >= occupied_thresh, free where p <= free_thresh, else unknown. A pixel that is not opaque is
 unknown in the modes trinary and scale, which differ only in values that this project does not use.
 In mode raw the grey value 0..100 is the occupancy in per cent, anything above is unknown.
+
+Beyond the format of the map server a YAML may name a second image of the same size, the elevation:
+the floor of a cell is at elevation_offset + elevation_scale * grey value, 0..255 or 0..65535.
 """
 
 from __future__ import annotations
@@ -20,10 +23,11 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from maps.grid import Cell, OccupancyGrid
+from maps.grid import HIGHEST_M, Cell, OccupancyGrid
 
 REQUIRED_KEYS = ("image", "resolution", "origin", "negate")
 OPTIONAL_KEYS = ("occupied_thresh", "free_thresh", "mode")
+ELEVATION_KEYS = ("elevation", "elevation_scale", "elevation_offset")
 MODES = ("trinary", "scale", "raw")
 YAML_SUFFIXES = (".yaml", ".yml")
 UNKNOWN_GREY = 205
@@ -40,7 +44,11 @@ class MapWarning(UserWarning):
 
 @dataclass(frozen=True, kw_only=True)
 class MapMetadata:
-    """What the YAML beside an image says. image is the path of the picture to read."""
+    """What the YAML beside an image says. image is the path of the picture to read.
+
+    elevation: path of the picture of heights, None for a floor at z = 0; elevation_scale_m: metres
+    per grey value; elevation_offset_m: the height of black.
+    """
 
     image: Path
     resolution_m: float
@@ -49,6 +57,9 @@ class MapMetadata:
     occupied_thresh: float = 0.65
     free_thresh: float = 0.196
     mode: str = "trinary"
+    elevation: Path | None = None
+    elevation_scale_m: float = 1.0
+    elevation_offset_m: float = 0.0
 
 
 def load_map(
@@ -73,7 +84,10 @@ def load_map(
         raise MapError(
             f"map {file}: resolution {metadata.resolution_m:g} must be above 0 (metres per pixel)"
         )
-    return grid_from_image(read_image(metadata.image), metadata)
+    grid = grid_from_image(read_image(metadata.image), metadata)
+    if metadata.elevation is None:
+        return grid
+    return replace(grid, elevation_m=_read_elevation(metadata, metadata.elevation, grid.shape))
 
 
 def _metadata_for(file: Path, resolution_m: float | None) -> MapMetadata:
@@ -117,7 +131,7 @@ def read_metadata(file: Path) -> MapMetadata:
     for key in REQUIRED_KEYS:
         if key not in document:
             raise MapError(f"map {file}: key `{key}` is missing")
-    for key in document.keys() - {*REQUIRED_KEYS, *OPTIONAL_KEYS}:
+    for key in document.keys() - {*REQUIRED_KEYS, *OPTIONAL_KEYS, *ELEVATION_KEYS}:
         warnings.warn(f"map {file}: key `{key}` means nothing here", MapWarning, stacklevel=4)
     image = document["image"]
     if not isinstance(image, str) or not image:
@@ -130,6 +144,7 @@ def read_metadata(file: Path) -> MapMetadata:
         occupied_thresh=_number("occupied_thresh", document.get("occupied_thresh", 0.65), file),
         free_thresh=_number("free_thresh", document.get("free_thresh", 0.196), file),
         mode=str(document.get("mode", "trinary")).lower(),
+        **_elevation_metadata(document, file),
     )
     _check_metadata(metadata, file)
     return metadata
@@ -147,6 +162,53 @@ def _check_metadata(metadata: MapMetadata, file: Path) -> None:
             f"map {file}: free_thresh {metadata.free_thresh:g} and occupied_thresh "
             f"{metadata.occupied_thresh:g} must satisfy 0 <= free_thresh < occupied_thresh <= 1"
         )
+
+
+def _elevation_metadata(document: dict[Any, Any], file: Path) -> dict[str, Any]:
+    """The fields of `MapMetadata` about heights; none where the YAML names no picture of them."""
+    if "elevation" not in document:
+        for key in document.keys() & set(ELEVATION_KEYS):
+            text = f"map {file}: key `{key}` means nothing without `elevation`"
+            warnings.warn(text, MapWarning, stacklevel=5)
+        return {}
+    image = document["elevation"]
+    if not isinstance(image, str) or not image:
+        raise MapError(f"map {file}: elevation {image!r} must be the name of a picture of heights")
+    if "elevation_scale" not in document:
+        raise MapError(
+            f"map {file}: key `elevation_scale` is missing: metres per grey value of {image}"
+        )
+    scale_m = _number("elevation_scale", document["elevation_scale"], file)
+    if scale_m <= 0:
+        raise MapError(
+            f"map {file}: elevation_scale {scale_m:g} must be above 0 (metres per grey value)"
+        )
+    offset_m = _number("elevation_offset", document.get("elevation_offset", 0.0), file)
+    return {
+        "elevation": file.parent / image,
+        "elevation_scale_m": scale_m,
+        "elevation_offset_m": offset_m,
+    }
+
+
+def _read_elevation(
+    metadata: MapMetadata, file: Path, shape: tuple[int, int]
+) -> NDArray[np.float64]:
+    """Heights (H, W) of the floor, row 0 at the smallest y. Raises MapError."""
+    grey, _ = _grey_and_opaque(_decode(file)[0])
+    if grey.shape != shape:
+        (rows, cols), (map_rows, map_cols) = grey.shape, shape
+        raise MapError(
+            f"map image {file}: {cols} x {rows} pixels, but the map {metadata.image.name} "
+            f"has {map_cols} x {map_rows}: the heights need one pixel for each of its cells"
+        )
+    heights_m = metadata.elevation_offset_m + metadata.elevation_scale_m * grey
+    if np.abs(heights_m).max() > HIGHEST_M:
+        raise MapError(
+            f"map image {file}: a height of {np.abs(heights_m).max():g} m; elevation_scale "
+            f"{metadata.elevation_scale_m:g} is in metres per grey value"
+        )
+    return np.ascontiguousarray(heights_m[::-1])
 
 
 def _number(name: str, value: Any, file: Path) -> float:
@@ -178,7 +240,16 @@ def _one_line(error: Exception) -> str:
 
 
 def read_image(file: Path) -> NDArray[np.generic]:
-    """Picture (H, W) or (H, W, channels BGR or BGRA), uint8 or uint16. Raises MapError."""
+    """Picture (H, W) or (H, W, channels BGR or BGRA), uint8 or uint16. Raises MapError.
+
+    White is the type's largest value.
+    """
+    image, data = _decode(file)
+    return _full_range(image, data)
+
+
+def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
+    """Picture as it is in a file, uint8 or uint16, and the file's bytes. Raises MapError."""
     try:
         data = file.read_bytes()
     except FileNotFoundError:
@@ -195,7 +266,7 @@ def read_image(file: Path) -> NDArray[np.generic]:
         image = None
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise MapError(f"map image {file}: not an image that can be read (PNG, PGM, BMP, JPEG)")
-    return _full_range(image, data)
+    return image, data
 
 
 def _full_range(image: NDArray[Any], data: bytes) -> NDArray[np.generic]:

@@ -14,6 +14,7 @@ from planner.ara import Request, Result, build_heuristic
 from planner.backends import backend
 from planner.collision import terrain_of
 from planner.endpoints import suggestion, what_blocks
+from planner.ground import heights_below, resting_heights
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
@@ -98,7 +99,7 @@ class Planner:
         goal_pose = _finite("goal", goal, (3,))
         if start_feet_world is None:
             start_pose = _finite("start", start, (3,))
-            feet = feet_at(start_pose, self.model.stance_width_m)
+            feet = self._feet_at(start_pose)
         else:
             feet = _finite("start_feet_world", start_feet_world, (2, 4))
             start_pose = pair_pose(feet)
@@ -119,7 +120,7 @@ class Planner:
                     f"{name} {pose[0]:g},{pose[1]:g} is off the map, which reaches from "
                     f"{x0:g},{y0:g} to {x1:g},{y1:g}"
                 )
-        feet_goal = feet_at(query.goal, self.model.stance_width_m)
+        feet_goal = self._feet_at(query.goal)
         for status, name, feet, margins in (
             (PlanStatus.START_BLOCKED, "start", query.start_feet_world, not query.stands),
             (PlanStatus.GOAL_BLOCKED, "goal", feet_goal, True),
@@ -129,6 +130,12 @@ class Planner:
                 near = suggestion(self.grid, self._terrain, self.model, pair_pose(feet))
                 return status, f"{name}: {blocked}{near}"
         return None, ""
+
+    def _feet_at(self, pose: ArrayLike) -> FloatArray:
+        """Feet (2, 4) of a robot that stands at a pair pose, on the ground."""
+        feet = feet_at(pose, self.model.stance_width_m)
+        feet[:, 2] = heights_below(self.grid, self._terrain, self.model, feet)[:, 1]
+        return feet
 
     def _stands_too_near(self, query: _Query) -> bool:
         """Whether the robot stands where the margins would not let it be: it must get away."""
@@ -150,6 +157,7 @@ class Planner:
             model=self.model,
             heuristic=self._toward[2],
             feet_lattice=_to_lattice(query.start_feet_world, query.goal),
+            feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
             stands=self._stands_too_near(query),
             first_side=query.first_side,
         )
@@ -179,11 +187,11 @@ class Planner:
             [
                 goal[0] + cos * x - sin * y,
                 goal[1] + sin * x + cos * y,
-                np.zeros(len(x)),
+                result.z_m,
                 wrap_angle(goal[2] + yaw),
             ]
         )
-        feet = feet_at(goal, self.model.stance_width_m)
+        feet = self._feet_at(goal)
         poses[-2:] = feet[result.side[-2:]]
         return poses
 

@@ -34,24 +34,32 @@ _PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 <
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A search on the lattice. feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand."""
+    """A search on the lattice.
+
+    feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): how high.
+    """
 
     space: Space
     model: StepModel
     heuristic: Heuristic
     feet_lattice: FloatArray
+    feet_m: FloatArray
     stands: bool
     first_side: Side | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason."""
+    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason.
+
+    z_m (N,): height of the ground under each step.
+    """
 
     status: PlanStatus
     reason: str = ""
     side: NDArray[np.int8]
     pose_lattice: FloatArray
+    z_m: FloatArray
     cost_m: float = 0.0
     epsilon: float = math.inf
     expansions: int = 0
@@ -64,6 +72,7 @@ def _failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
         reason=reason,
         side=np.zeros(0, np.int8),
         pose_lattice=np.zeros((0, 3)),
+        z_m=np.zeros(0),
         expansions=expansions,
     )
 
@@ -97,7 +106,14 @@ def _seeds(request: Request) -> tuple[Int64s, Int64s]:
     # A robot that stands too near to an obstacle must be able to leave.
     margin_m = 0.0 if request.stands else request.model.body_margin_m
     found = [
-        first_steps(request.space, request.model, request.feet_lattice[side.other], side, margin_m)
+        first_steps(
+            request.space,
+            request.model,
+            request.feet_lattice[side.other],
+            side,
+            margin_m,
+            round(float(request.feet_m[side.other]) * MICRO),
+        )
         for side in sides
     ]
     return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
@@ -316,6 +332,7 @@ class _Run:
             status=PlanStatus.FOUND,
             side=side,
             pose_lattice=np.column_stack([position, yaw_rad]),
+            z_m=space.node_um[nodes] / MICRO if len(space.node_um) else np.zeros(len(nodes)),
             cost_m=cost_um / MICRO,
             epsilon=self.proven,
             expansions=expansions,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -14,6 +15,9 @@ from maps.grid import OccupancyGrid
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
 CONTACT_M = 1e-9
+# Height of ground that nobody can tread on; far below any that a map may have.
+NO_GROUND_UM = -(1 << 31) + 1
+NEAR_M = 1.0
 
 
 class Terrain(NamedTuple):
@@ -21,17 +25,42 @@ class Terrain(NamedTuple):
 
     blocked (H, W): cells that no box may touch. clearance_m (H, W): lower bound on the distance
     from each cell's centre to blocked ground, the map's outside included.
+    height_um (H, W): height of the floor in micrometres, NO_GROUND_UM in blocked cells; (0, 0)
+    where the floor is flat. highest_um: for each cell the highest floor of any cell that comes
+    nearer than NEAR_M along both axes.
     """
 
     blocked: NDArray[np.bool_]
     clearance_m: NDArray[np.float32]
     resolution_m: float
+    height_um: NDArray[np.int32]
+    highest_um: NDArray[np.int32]
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the floor is at z = 0 everywhere."""
+        return self.height_um.size == 0
 
 
 def terrain_of(grid: OccupancyGrid, unknown_is_free: bool) -> Terrain:
     """The terrain of an occupancy grid."""
     blocked = grid.blocked(unknown_is_free)
-    return Terrain(blocked, distance_field(blocked, grid.resolution_m), grid.resolution_m)
+    height_um = np.zeros((0, 0), np.int32)
+    highest_um = height_um
+    if grid.elevation_m is not None:
+        height_um = np.rint(grid.elevation_m * 1e6).astype(np.int32)
+        height_um[blocked] = NO_GROUND_UM
+        side = 2 * math.ceil(NEAR_M / grid.resolution_m) + 1
+        # Doubles hold these numbers exactly; OpenCV does not dilate whole numbers of 32 bits.
+        square = np.ones((side, side), np.uint8)
+        highest_um = cv2.dilate(height_um.astype(np.float64), square).astype(np.int32)
+    return Terrain(
+        blocked,
+        distance_field(blocked, grid.resolution_m),
+        grid.resolution_m,
+        height_um,
+        highest_um,
+    )
 
 
 @njit(cache=True)

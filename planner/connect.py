@@ -12,6 +12,7 @@ from planner.collision import box_free, point_clearance
 from planner.lattice import allowed, foot_position, step_cost_um
 from planner.model import Side, StepModel
 from planner.plan import wrap_angle
+from planner.rise import first_climbs
 from planner.space import Space, clearance_cost, node_free
 
 FloatArray = NDArray[np.float64]
@@ -19,13 +20,19 @@ Int64s = NDArray[np.int64]
 
 
 def first_steps(
-    space: Space, model: StepModel, support_lattice: FloatArray, swing: Side, body_margin_m: float
+    space: Space,
+    model: StepModel,
+    support_lattice: FloatArray,
+    swing: Side,
+    body_margin_m: float,
+    support_um: int = 0,
 ) -> tuple[Int64s, Int64s]:
     """Nodes (n,) and costs (n,) in micrometres of all allowed first steps of one foot.
 
     support_lattice (3,): x_m, y_m, yaw_rad of the other foot in the lattice frame, at no node in
     general. Every node within the step limits counts, not only those near the step set.
     body_margin_m: margin of the body's box at the pair pose of this step.
+    support_um: height of the ground under the other foot in micrometres.
     """
     nodes, poses = _nodes_around(space, model, support_lattice, swing)
     if not len(nodes):
@@ -38,6 +45,8 @@ def first_steps(
     body = (model.body.length_m / 2 + body_margin_m, model.body.width_m / 2 + body_margin_m)
     free = np.zeros(len(nodes), np.bool_)
     _check_first(space, nodes, poses, costs_um, np.array(support_lattice), body, free)
+    if len(space.node_um):
+        _check_climbs(space, nodes, np.array(support_lattice), support_um, free)
     return nodes[free], costs_um[free]
 
 
@@ -104,3 +113,22 @@ def _check_first(
         if box_free(space.terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]):
             free[i] = True
             costs_um[i] += clearance_cost(space, point_clearance(space.terrain, gx, gy))
+
+
+@njit(cache=True)
+def _check_climbs(
+    space: Space,
+    nodes: Int64s,
+    support: FloatArray,
+    support_um: int,
+    free: NDArray[np.bool_],
+) -> None:
+    """Unmarks the nodes (n,) that are too high, too low or behind ground that is too high."""
+    ox, oy, frame_cos, frame_sin = space.frame
+    yaw = math.atan2(frame_sin, frame_cos) + support[2]
+    x = ox + frame_cos * support[0] - frame_sin * support[1]
+    y = oy + frame_sin * support[0] + frame_cos * support[1]
+    foot = x, y, math.cos(yaw), math.sin(yaw)
+    for i in range(len(nodes)):
+        if free[i]:
+            free[i] = first_climbs(space, foot, support_um, nodes[i])

@@ -9,11 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
 from planner.collision import Terrain, box_free
+from planner.ground import heights_below
 from planner.model import BodyShape, FootShape, Side, StepModel
 from planner.plan import feet_at, pair_pose
 
 FloatArray = NDArray[np.float64]
 _SEARCH_RADIUS_M = 2.0
+_ROUNDING_M = 5e-7  # heights are whole micrometres
 
 
 def what_blocks(
@@ -29,6 +31,29 @@ def what_blocks(
     pose = pair_pose(feet)
     if not _free(grid, terrain, pose, model.body, body_margin_m):
         return _sentence(grid, "the body", pose[0], pose[1])
+    return _what_is_uneven(grid, terrain, model, feet) if margins else ""
+
+
+def _what_is_uneven(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray
+) -> str:
+    """Says where the ground under feet (2, 4) is not level, or too high under one of them."""
+    heights = heights_below(grid, terrain, model, feet)
+    for side in Side:
+        low_m, high_m = heights[side]
+        if high_m - low_m > model.level_m + _ROUNDING_M:
+            x_m, y_m = feet[side, :2]
+            return (
+                f"the ground under the {side.name.lower()} foot at {x_m:.2f},{y_m:.2f} is not "
+                f"level: it rises by {high_m - low_m:.2f} m"
+            )
+    rise_m = abs(float(heights[0, 1] - heights[1, 1]))
+    if rise_m > min(-model.limits.z_m[0], model.limits.z_m[1]) + _ROUNDING_M:
+        higher = Side.LEFT if heights[0, 1] > heights[1, 1] else Side.RIGHT
+        return (
+            f"the {higher.name.lower()} foot would stand {rise_m:.2f} m higher than the other, "
+            f"and steps go from {model.limits.z_m[0]:g} to {model.limits.z_m[1]:g} m"
+        )
     return ""
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.rise import step_climbs
 from planner.space import (
     COST_UM,
     D_HALF,
@@ -143,6 +144,7 @@ def _go_on(
     top = ends[at]
     rows = 2 * space.headings
     other = 3 - mine
+    uneven = len(space.node_um) > 0
     while top > 0 and budget > 0:
         # The newest first: its neighbours are still in the processor's cache.
         top, budget = top - 1, budget - 1
@@ -158,6 +160,10 @@ def _go_on(
                 continue
             half = half_base + steps[row, k, D_HALF]
             if not pair_known_free(space, half, steps[row, k, HALF_HEADING]):
+                continue
+            if uneven and not (
+                step_climbs(space, node, to) if mine == FORWARD else step_climbs(space, to, node)
+            ):
                 continue
             if mark & other:
                 return True

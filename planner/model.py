@@ -64,17 +64,23 @@ class BodyShape:
 
 @dataclass(frozen=True, kw_only=True)
 class StepLimits:
-    """Closed intervals of the swing foot's pose in the support foot's frame (outward positive)."""
+    """Closed intervals of the swing foot's pose in the support foot's frame (outward positive).
+
+    z_m: how far a step may fall and rise on maps with elevation; holds 0.
+    """
 
     x_m: Interval
     y_m: Interval
     yaw_rad: Interval
+    z_m: Interval = (-0.01, 0.01)
 
     def __post_init__(self) -> None:
-        for name in ("x_m", "y_m", "yaw_rad"):
+        for name in ("x_m", "y_m", "yaw_rad", "z_m"):
             low, high = getattr(self, name)
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
                 raise ValueError(f"step limits {name}: ({low}, {high}) must be finite, low <= high")
+        if not self.z_m[0] <= 0.0 <= self.z_m[1]:
+            raise ValueError(f"step limits z_m: {self.z_m} must hold 0, or no floor can be walked")
 
     def contain(self, steps: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
         """Whether each step of (..., 3) lies within the limits, shape (...)."""
@@ -99,6 +105,10 @@ class StepModel:
         linearly as that distance falls to zero.
     foot_margin_m, body_margin_m: by how much each box grows on all sides for the collision check.
     foot_gap_m: least distance between the boxes of two consecutive feet.
+    level_margin_m, level_m: on maps with elevation the ground under a foot and this far around it
+        must be level: its highest point is at most level_m above its lowest.
+    swing_clear_m: the ground that a foot swings over may be so much higher than the higher of the
+        two places that a step joins.
     cell_m, headings: the search lattice.
     """
 
@@ -116,6 +126,9 @@ class StepModel:
     foot_margin_m: float = 0.0
     body_margin_m: float = 0.0
     foot_gap_m: float = 0.01
+    level_margin_m: float = 0.02
+    level_m: float = 0.01
+    swing_clear_m: float = 0.02
     cell_m: float = 0.05
     headings: int = 64
 
@@ -125,6 +138,7 @@ class StepModel:
         for name in (
             *("turn_cost_m", "side_cost_m", "back_cost_m", "clearance_m", "clearance_cost_m"),
             *("foot_margin_m", "body_margin_m", "foot_gap_m"),
+            *("level_margin_m", "level_m", "swing_clear_m"),
         ):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):

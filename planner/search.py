@@ -18,6 +18,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.exits import exit_bound
+from planner.rise import step_climbs
 from planner.space import (
     BLOCKED,
     COST_UM,
@@ -262,6 +263,7 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
     reach = len(endgame_um) // 2
     near_col = cell % space.cols - space.origin_col + reach
     near_row = cell // space.cols - space.origin_row + reach
+    uneven = len(space.node_um) > 0
     improved = False
     for k in range(steps.shape[1]):
         if steps[row, k, COST_UM] == 0:
@@ -299,6 +301,8 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
         if clearance_m < 0.0:
             clearance_m = measure_half(space, half) - 1.0
         if clearance_m <= body_radius_m and not pair_free(space, half, steps[row, k, HALF_HEADING]):
+            continue
+        if uneven and not step_climbs(space, node, to):
             continue
         if clearance_m < space.clearance[0]:
             cost += clearance_cost(space, clearance_m)

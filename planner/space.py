@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
 from planner.collision import Terrain, box_free, point_clearance
+from planner.ground import box_heights
 from planner.lattice import MICRO, StepTable
 from planner.model import StepModel
 
@@ -41,6 +42,10 @@ class Space(NamedTuple):
     cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
     pair pose in the grid frame. origin: col, row of the goal's cell. foot, body: half lengths and
     half widths, margins included. clearance: see `_clearance`.
+    tread: half box of a foot with the margin on which the ground must be level. sole: without
+    any. swing_reach_m: how far from a foot a step may pass over ground. climb_um: see `_climb`.
+    node_um: height of the ground under each node that was found free, in micrometres; (0,) where
+    the floor is flat.
     """
 
     terrain: Terrain
@@ -61,6 +66,11 @@ class Space(NamedTuple):
     node_state: NDArray[np.uint8]
     half_clear_m: NDArray[np.float32]
     pair_key: Int64s
+    tread: tuple[float, float]
+    sole: tuple[float, float]
+    swing_reach_m: float
+    climb_um: tuple[int, int, int, int]
+    node_um: NDArray[np.int32]
 
 
 def build_steps(table: StepTable, cols: int) -> Int64s:
@@ -101,6 +111,7 @@ def build_space(
     low = np.floor(corners.min(axis=0)).astype(int) - rim
     high = np.ceil(corners.max(axis=0)).astype(int) + rim
     cols, rows = (int(v) for v in high - low + 1)
+    nodes = cols * rows * model.headings * 2
     half_bins = yaw_rad + np.arange(2 * model.headings) * (np.pi / model.headings)
     return Space(
         terrain=terrain,
@@ -118,9 +129,14 @@ def build_space(
         clearance=_clearance(model),
         cos=np.cos(half_bins),
         sin=np.sin(half_bins),
-        node_state=np.zeros(cols * rows * model.headings * 2, np.uint8),
+        node_state=np.zeros(nodes, np.uint8),
         half_clear_m=np.zeros(4 * cols * rows, np.float32),
         pair_key=np.full(_PAIR_SLOTS, -1, np.int64),
+        tread=_half_box(model.foot.length_m, model.foot.width_m, model.level_margin_m),
+        sole=_half_box(model.foot.length_m, model.foot.width_m, 0.0),
+        swing_reach_m=_swing_reach(model),
+        climb_um=_climb(model),
+        node_um=np.zeros(0 if terrain.is_flat else nodes, np.int32),
     )
 
 
@@ -133,6 +149,23 @@ def _clearance(model: StepModel) -> tuple[float, float, float]:
         return 0.0, -1.0, 0.0
     half_width_m = model.body.width_m / 2
     return half_width_m + model.clearance_m, half_width_m, model.clearance_cost_m * MICRO
+
+
+def _climb(model: StepModel) -> tuple[int, int, int, int]:
+    """Lowest and highest rise of a step, what counts as level, and what a swing clears, in um."""
+    low_m, high_m = model.limits.z_m
+    low, high, level, clear = (
+        round(value_m * MICRO) for value_m in (low_m, high_m, model.level_m, model.swing_clear_m)
+    )
+    return low, high, level, clear
+
+
+def _swing_reach(model: StepModel) -> float:
+    """How far from the support foot's centre the feet of a step may pass (see `rise.py`)."""
+    limits = model.limits
+    step_m = math.hypot(max(map(abs, limits.x_m)), max(map(abs, limits.y_m)))
+    sole_m = math.hypot(model.foot.length_m, model.foot.width_m) / 2
+    return step_m + model.stance_width_m + sole_m
 
 
 def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, float]:
@@ -148,7 +181,10 @@ def to_grid(space: Space, x: float, y: float) -> tuple[float, float]:
 
 @njit(cache=True)
 def node_free(space: Space, node: int) -> bool:
-    """Whether the foot's box and the body's box over this one foot are free; cached."""
+    """Whether the foot's box and the body's box over this one foot are free; cached.
+
+    Where the floor is not flat it must also be level under the foot.
+    """
     state = space.node_state[node]
     if state == UNKNOWN:
         state = check_node(space, node)
@@ -175,6 +211,11 @@ def _node_is_free(space: Space, node: int) -> bool:
     cos, sin = space.cos[2 * heading], space.sin[2 * heading]
     if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
         return False
+    if len(space.node_um) > 0:
+        low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
+        if high - low > space.climb_um[2]:
+            return False
+        space.node_um[node] = high
     inward = out * space.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
     return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])

@@ -12,6 +12,7 @@ from shapely import affinity
 from maps.grid import OccupancyGrid
 from planner.model import Side, StepModel
 from planner.plan import FootstepPlan
+from planner.verify_ground import Ground
 
 FloatArray = NDArray[np.float64]
 # Boxes shrink by this much, so that contact within rounding is no overlap.
@@ -30,15 +31,17 @@ def violations(
 
     Sides alternate; each step is within the limits; consecutive feet keep the gap; the boxes of
     feet (at every step) and body (at every pair of feet and over every single foot), margins
-    included, lie on the map and off blocked cells; the last two feet are those of the goal pose,
-    exactly. stood_freely: the plan began at a pair pose, so the margins count in the first step
-    too; false where it began from feet as they stood.
+    included, lie on the map and off blocked cells; feet are on the highest ground below them,
+    which is level; rise and fall and the ground that a foot swings over are within the limits; the
+    last two feet are those of the goal pose, exactly. stood_freely: the plan began at a pair pose,
+    so the margins count in the first step too; false where it began from feet as they stood.
     """
     if not plan.found:
         return [f"status is {plan.status}, not found"]
     if not len(plan):
         return [] if _feet_are_at_goal(plan, model) else ["empty, but the feet are not at the goal"]
     checker = _Checker(grid, unknown_is_free)
+    ground = Ground(grid, unknown_is_free)
     wrong: list[str] = []
     support = plan.start_feet_world[Side(int(plan.side[0])).other]
     for i, (side, pose) in enumerate(zip(plan.side, plan.pose_world, strict=True)):
@@ -50,6 +53,7 @@ def violations(
         wrong += [
             f"step {i}: {what}" for what in checker.step(support, pose, swing, model, margin_m)
         ]
+        wrong += [f"step {i}: {what}" for what in ground.step(support, pose, swing, model)]
         support = pose
     if not _feet_are_at_goal(plan, model):
         wrong.append("the last two feet are not the goal's")
@@ -76,8 +80,8 @@ def _feet_are_at_goal(plan: FootstepPlan, model: StepModel) -> bool:
 def _step_wrongs(support: FloatArray, pose: FloatArray, swing: Side, model: StepModel) -> list[str]:
     """Limits and overlap of one step."""
     wrong = []
-    if not np.all(np.isfinite(pose)) or pose[2] != 0.0:
-        wrong.append(f"pose {pose} is not finite or not on the floor")
+    if not np.all(np.isfinite(pose)):
+        wrong.append(f"pose {pose} is not finite")
     out = 1.0 if swing == Side.LEFT else -1.0
     ahead = affinity.rotate(
         shapely.Point(pose[0] - support[0], pose[1] - support[1]),

@@ -341,7 +341,9 @@ ROBOT = Robot(
         body=BodyShape(length_m=0.52, width_m=0.64),
         # Forward 0.35: PAPER's step length. The rest, ESTIMATED, is JVRC-1's, set outward by what
         # the feet are wider; tests/test_robots.py holds the legs to it.
-        limits=StepLimits(x_m=(-0.20, 0.35), y_m=(0.18, 0.38), yaw_rad=(-0.2, 0.4)),
+        limits=StepLimits(
+            x_m=(-0.20, 0.35), y_m=(0.18, 0.38), yaw_rad=(-0.2, 0.4), z_m=(-0.10, 0.10)
+        ),
         steps=STEPS,
         stance_width_m=0.21,
         turn_cost_m=0.05,
@@ -350,6 +352,7 @@ ROBOT = Robot(
         clearance_m=0.25,
         clearance_cost_m=0.25,
         foot_margin_m=0.03,
+        level_margin_m=0.01,
         body_margin_m=0.08,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),

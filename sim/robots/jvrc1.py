@@ -219,7 +219,9 @@ ROBOT = Robot(
         # Of 1200 walks that began near the corners of these limits and went on turning as the
         # lattice does, the shipped policy fell in none; from the corners of the training limits
         # below, turning as sharply as those allow, in 8 %.
-        limits=StepLimits(x_m=(-0.15, 0.31), y_m=(0.16, 0.31), yaw_rad=(-0.16, 0.30)),
+        limits=StepLimits(
+            x_m=(-0.15, 0.31), y_m=(0.16, 0.31), yaw_rad=(-0.16, 0.30), z_m=(-0.10, 0.10)
+        ),
         steps=STEPS,
         stance_width_m=0.20,
         turn_cost_m=0.05,
@@ -239,5 +241,7 @@ ROBOT = Robot(
     fallen_height_m=0.60,
     build=build,
     add_meshes=add_meshes,
-    training_limits=StepLimits(x_m=(-0.20, 0.35), y_m=(0.16, 0.34), yaw_rad=(-0.2, 0.4)),
+    training_limits=StepLimits(
+        x_m=(-0.20, 0.35), y_m=(0.16, 0.34), yaw_rad=(-0.2, 0.4), z_m=(-0.10, 0.10)
+    ),
 )
