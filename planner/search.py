@@ -46,7 +46,9 @@ SCALARS = 9
 
 # What `expand` returns
 EXHAUSTED, FINISHED, IMPROVED, OUT_OF_BUDGET, OUT_OF_ENTRIES = range(5)
-NO_COST = 1 << 40
+# Costs of nodes are 32 bit: no plan costs as much as this, so none that would overflow is followed.
+NO_COST = (1 << 31) - 1
+_NO_KEY = 1 << 40
 
 
 class Heuristic(NamedTuple):
@@ -192,7 +194,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
             number += 1
     scalars[USED] = 0
     scalars[CURSOR] = BUCKETS
-    least, low, high = NO_COST, NO_COST, 0
+    least, low, high = _NO_KEY, _NO_KEY, 0
     for i in range(number):
         value = estimate(space, heuristic, nodes[i])
         cost = tree.cost_um[nodes[i]]
@@ -231,6 +233,10 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
             return OUT_OF_BUDGET
         if scalars[USED] > room:
             return OUT_OF_ENTRIES
+        if cursor == BUCKETS - 1:
+            _widen(space, heuristic, tree, epsilon)
+            cursor = scalars[CURSOR]
+            continue
         entry = head[cursor]
         node: int = np.int64(entry_node[entry])  # type: ignore[assignment]
         head[cursor] = entry_next[entry]
@@ -241,6 +247,34 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
         if _expand_node(space, heuristic, tree, epsilon, node):
             return IMPROVED
         cursor = scalars[CURSOR]
+
+
+@njit(cache=True)
+def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
+    """Doubles the buckets' width once only the last is in use, which holds every higher key.
+
+    Without it the states there would be searched newest first, whatever they cost.
+    """
+    scalars = tree.scalars
+    nodes = np.empty(scalars[USED], np.int64)
+    ends = np.zeros(3, np.int64)
+    for k in range(2):
+        entry = tree.head[BUCKETS - 1 + k]
+        ends[k + 1] = ends[k]
+        while entry >= 0:
+            nodes[ends[k + 1]] = tree.entry_node[entry]
+            ends[k + 1] += 1
+            entry = tree.entry_next[entry]
+        tree.head[BUCKETS - 1 + k] = -1
+    scalars[USED] = 0
+    scalars[CURSOR] = BUCKETS
+    scalars[SHIFT] += 1
+    for i in range(ends[1] - 1, -1, -1):
+        if tree.round[nodes[i]] != scalars[ROUND]:
+            value = estimate(space, heuristic, nodes[i])
+            _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * value))
+    for i in range(ends[2] - 1, ends[1] - 1, -1):
+        _put(tree, nodes[i], BUCKETS)
 
 
 @njit(cache=True)

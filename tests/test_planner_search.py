@@ -15,6 +15,7 @@ from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at, wrap_angle
 from planner.verify import violations
+from sim.robots import get_robot
 from tests.planner_oracle import Oracle, small_model
 
 
@@ -306,3 +307,19 @@ def test_headings_count_from_the_goal_and_wrap():
     off = wrap_angle(plan.pose_world[:, 3] - goal[2]) / (2 * math.pi / 8)
     np.testing.assert_allclose(off, np.round(off), atol=1e-9)
     assert np.all(np.abs(plan.pose_world[:, 3]) <= math.pi)
+
+
+def test_a_way_far_dearer_than_the_heuristic_thinks_is_still_searched_in_order():
+    # Posts 0.8 m apart let the robot through only with its shoulders turned, which the path of the
+    # body does not know: keys come to lie far above those that the search began with.
+    cells = np.zeros((64, 64), np.uint8)
+    for row in range(10, 60, 11):
+        for col in range(10, 60, 11):
+            cells[row : row + 3, col : col + 3] = Cell.OCCUPIED
+    grid = OccupancyGrid(cells=cells, resolution_m=0.1)
+    model = get_robot("jvrc1").step_model
+    plan = Planner(grid, model).plan(start=(0.55, 0.55, 0.0), goal=(3.9, 3.9, 0.0))
+    assert plan.found
+    assert len(plan) < 100
+    assert plan.cost_m < 50
+    assert violations(plan, grid, model) == []
