@@ -12,6 +12,9 @@ import numpy as np
 
 from sim.robot import Robot
 
+# Training cuts scaled observations off at this, so that a robot out of hand teaches nothing wild.
+SCALED_LIMIT = 10.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class ObsField:

@@ -14,7 +14,7 @@ from rsl_rl.env import VecEnv
 from tensordict import TensorDict
 
 from controller.env import WalkTask
-from controller.observation import critic_fields, mirror_map, policy_fields
+from controller.observation import SCALED_LIMIT, critic_fields, mirror_map, policy_fields
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,12 +67,13 @@ class RslWalkEnv(VecEnv):  # type: ignore[misc]
 
     def _pack(self, observation: np.ndarray, critic_observation: np.ndarray) -> TensorDict:
         return TensorDict(
-            {
-                "actor": torch.from_numpy(np.clip(observation, -10, 10)).float(),
-                "critic": torch.from_numpy(np.clip(critic_observation, -10, 10)).float(),
-            },
+            {"actor": _limited(observation), "critic": _limited(critic_observation)},
             batch_size=[self.num_envs],
         )
+
+
+def _limited(observation: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.clip(observation, -SCALED_LIMIT, SCALED_LIMIT)).float()
 
 
 @dataclass(frozen=True)

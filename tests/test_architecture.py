@@ -28,6 +28,7 @@ MAY_LOAD = {
     "mujoco": ("sim", "controller", "app"),
     "torch": ("controller", "app"),
     "rsl_rl": ("controller", "app"),
+    "gymnasium": ("controller",),
     "tensordict": ("controller", "app"),
     "ompl": ("planner",),
     "numba": ("planner",),

@@ -1,0 +1,175 @@
+"""The Gymnasium environments: Gymnasium's own check, and step for step the task they wrap."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from controller.env import TaskConfig, WalkTask
+from controller.gym_env import environment_id
+from controller.gym_vector import WalkVectorEnv
+from controller.policy import load_policy
+from sim.robots import get_robot, robot_names
+
+JVRC1 = "Footfall/Jvrc1-v0"
+TICKS = 12
+SHORT, LONG = TaskConfig(episode_ticks=TICKS), TaskConfig(episode_ticks=1000)
+
+
+def bare_task(*, count: int, seed: int, config: TaskConfig) -> WalkTask:
+    """The task in the state in which an environment is after its reset with the seed."""
+    task = WalkTask(get_robot("jvrc1"), count=count, seed=0, config=config)
+    task.restart(int(seeding.np_random(seed)[0].integers(2**63)))
+    return task
+
+
+def actions(count: int, steps: int) -> np.ndarray:
+    return np.random.default_rng(7).uniform(-0.1, 0.1, (steps, count, 12)).astype(np.float32)
+
+
+@pytest.mark.parametrize("robot", robot_names())
+def test_every_robot_passes_gymnasiums_own_check(robot):
+    env = gymnasium.make(environment_id(robot)).unwrapped
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        # Pictures need a GL library: tests/test_gymnasium_pictures.py.
+        check_env(env, skip_render_check=True)
+    told = [str(warning.message) for warning in caught]
+    # Actions are in rad, as the policy gives them.
+    assert [line for line in told if "normalized space" not in line] == []
+
+
+def test_one_robot_is_the_task_until_its_episode_ends_and_keeps_its_last_observation():
+    env = gymnasium.make(JVRC1, config=SHORT)
+    # Longer episodes draw nothing else: they show what the short ones see at their end.
+    short = bare_task(count=1, seed=5, config=SHORT)
+    longer = bare_task(count=1, seed=5, config=LONG)
+    observation, info = env.reset(seed=5)
+    assert info == {}
+    assert observation == pytest.approx(short.observe()[0], abs=1e-6)
+    for tick, action in enumerate(actions(1, TICKS)):
+        expected, seen = short.step(action.astype(float)), longer.step(action.astype(float))
+        observation, reward, terminated, truncated, info = env.step(action[0])
+        assert reward == expected.reward[0]
+        assert (terminated, truncated) == (False, tick == TICKS - 1)
+        assert np.array_equal(observation, seen.observation[0].astype(np.float32))
+        assert info["reward_terms"] == expected.terms
+        assert (info["landed"], info["failed"]) == (False, False)
+    assert not np.array_equal(observation, expected.observation[0].astype(np.float32))
+
+
+def test_many_robots_are_the_task_and_final_obs_is_what_the_ended_episodes_saw():
+    envs = gymnasium.make_vec(JVRC1, num_envs=3, config=SHORT, threads=2)
+    assert isinstance(envs, WalkVectorEnv)
+    assert envs.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    short = bare_task(count=3, seed=5, config=SHORT)
+    longer = bare_task(count=3, seed=5, config=LONG)
+    observation, _ = envs.reset(seed=5)
+    assert np.array_equal(observation, short.observe().astype(np.float32))
+    for tick, action in enumerate(actions(3, TICKS + 2)):
+        expected, seen = short.step(action.astype(float)), longer.step(action.astype(float))
+        observation, reward, terminated, truncated, info = envs.step(action)
+        assert np.array_equal(observation, expected.observation.astype(np.float32))
+        assert np.array_equal(reward, expected.reward)
+        assert not terminated.any()
+        at_end = tick == TICKS - 1
+        assert truncated.tolist() == [at_end] * 3
+        assert info["_landed"].tolist() == [not at_end] * 3
+        assert ("final_obs" in info) == ("final_info" in info) == at_end
+        if at_end:
+            assert info["_final_obs"].all()
+            final = np.stack(info["final_obs"])
+            assert np.array_equal(final, seen.observation.astype(np.float32))
+            assert info["final_info"]["_landed"].all()
+
+
+def test_a_fall_ends_the_episode_of_that_robot_only():
+    """The legs of one robot fold; then it stands anew, and what it saw last is told."""
+    envs = gymnasium.make_vec(JVRC1, num_envs=2, mode="standing")
+    envs.reset(seed=0)
+    action = np.zeros((2, 12), np.float32)
+    action[1] = [-1.0, 0, 0, 2.0, 0, -1.0] * 2
+    for _ in range(200):
+        observation, _, terminated, truncated, info = envs.step(action)
+        if terminated.any():
+            break
+    assert terminated.tolist() == [False, True]
+    assert truncated.tolist() == [False, False]
+    assert info["_final_obs"].tolist() == [False, True]
+    assert info["final_obs"][0] is None
+    knee = 5 + 3  # roll, pitch, angular velocity, then the joints, the knee the fourth
+    # Scaled by 0.5 rad: it was bent by far more than the 0.02 rad in which episodes begin.
+    assert info["final_obs"][1][knee] > 0.5
+    assert abs(observation[1][knee]) <= 0.02 / 0.5 + 1e-6
+
+
+def test_landings_are_told_with_their_errors_where_there_are_any():
+    envs = gymnasium.make_vec(JVRC1, num_envs=4, mode="in_place")
+    policy = load_policy(get_robot("jvrc1"))
+    observation, _ = envs.reset(seed=2)
+    landings = 0
+    # Up to 20 ticks of waiting, 14 of weight shift, then 44 a step.
+    for _ in range(90):
+        observation, _, terminated, _, info = envs.step(policy.act_scaled(observation))
+        landed = info["landed"]
+        assert np.array_equal(info["_landing_error_m"], landed)
+        assert (info["landing_error_m"][landed] > 0).all()
+        assert (info["landing_error_m"][~landed] == 0).all()
+        assert not (landed & terminated).any()
+        landings += int(landed.sum())
+    assert 4 <= landings <= 8
+
+
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_same_seed_same_episodes_and_another_seed_others(make):
+    first, second = make(JVRC1), make(JVRC1)
+    one, two = first.reset(seed=3)[0], second.reset(seed=3)[0]
+    assert np.array_equal(one, two)
+    # Without a seed the next episodes are other ones, and again the same for both.
+    after, after_too = first.reset()[0], second.reset()[0]
+    assert np.array_equal(after, after_too)
+    assert not np.array_equal(one, after)
+    assert not np.array_equal(first.reset(seed=4)[0], one)
+    assert np.array_equal(first.reset(seed=3)[0], one)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"mode": "jumping"}, "mode 'jumping': choose one of forward, "),
+        ({"render_mode": "human"}, "render_mode 'human': choose 'rgb_array' or None"),
+        ({"robot": "atlas"}, "no robot 'atlas': choose one of "),
+        ({"num_envs": 0}, "num_envs 0 must be at least 1"),
+    ],
+)
+def test_what_cannot_be_made_is_told_in_one_line(given, told):
+    with pytest.raises(ValueError, match=told) as caught:
+        WalkVectorEnv(**given)
+    assert "\n" not in str(caught.value)
+
+
+def test_actions_of_another_shape_or_not_finite_are_refused():
+    env = gymnasium.make(JVRC1).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"has shape \(3,\), it must have \(12,\)"):
+        env.step(np.zeros(3))
+    with pytest.raises(ValueError, match="not finite"):
+        env.step(np.full(12, np.nan))
+    with pytest.raises(ValueError, match="reset takes no options here, but got pose"):
+        env.reset(options={"pose": 1})
+    assert env.render() is None
+
+
+def test_actions_beyond_their_bounds_act_as_those_at_the_bounds():
+    seen = []
+    env = gymnasium.make(JVRC1).unwrapped
+    for offset in (2.0, 1e6):
+        env.reset(seed=0)
+        seen.append(env.step(np.full(12, offset))[0])
+    assert np.array_equal(*seen)
