@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from app.errors import ExitCode, InputError, as_bad_input
@@ -12,9 +12,13 @@ from app.inputs import find_robot
 from app.output import make_folder, write_text
 from app.progress import ProgressBar, say
 from app.train_options import TrainOptions
+from controller.curriculum import PRESETS as CURRICULA
+from controller.curriculum import Curriculum
 from controller.env import TaskConfig
 from controller.reward import PRESETS
 from controller.train import Report, TrainConfig, Trainer, TrainingError
+
+HIGHEST_RISE_M = 0.20
 
 
 def run(options: TrainOptions) -> int:
@@ -24,6 +28,7 @@ def run(options: TrainOptions) -> int:
         robot=robot.name,
         samples=options.samples,
         seed=options.seed,
+        curriculum=_curriculum(options),
         task=TaskConfig(reward=dict(PRESETS[options.reward])),
     )
     make_folder(options.out, option="--out")
@@ -50,12 +55,18 @@ def run(options: TrainOptions) -> int:
 def progress_line(report: Report) -> str:
     """One line on a finished segment."""
     result = report.result.summary
+    stairs = ""
+    if report.stairs:
+        shares = " / ".join(f"{100 * result.success:.0f}" for result in report.stairs)
+        stairs = f" | stairs of {100 * report.stage.rise_m:.1f} cm, plain / rough: {shares} %"
     return (
         f"{report.samples_per_s:.0f} samples/s, "
         f"{report.seconds_left / 60:3.0f} min left | reward {report.reward:.3f} | "
         f"held out: {result['falls']} of {result['episodes']} fell, feet "
         f"{100 * float(result['error_m_median']):.1f} cm median, "
-        f"{100 * float(result['error_m_p95']):.1f} cm p95" + (" | best" if report.best else "")
+        f"{100 * float(result['error_m_p95']):.1f} cm p95"
+        + stairs
+        + (" | best" if report.best else "")
     )
 
 
@@ -63,8 +74,19 @@ def command_line(options: TrainOptions) -> str:
     """The command that makes the same policy, for the policy's own record."""
     return (
         f"python main.py train --robot {options.robot} --samples {options.samples} "
-        f"--seed {options.seed} --reward {options.reward} --out DIR"
+        f"--seed {options.seed} --reward {options.reward} --curriculum {options.curriculum} "
+        f"--rise {options.rise:g} --out DIR"
     )
+
+
+def _curriculum(options: TrainOptions) -> Curriculum:
+    """The preset, with the highest rise where it has stairs."""
+    preset = CURRICULA[options.curriculum]
+    if options.curriculum == "flat":
+        return preset
+    if options.rise > HIGHEST_RISE_M:
+        raise InputError(f"--rise: {options.rise:g} m is more than {HIGHEST_RISE_M:g} m")
+    return replace(preset, top_rise_m=options.rise)
 
 
 def _check_folder(out: Path, *, resume: bool) -> None:

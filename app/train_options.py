@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.inputs import RobotName
-from app.options import FolderOption, choice, whole_number
+from app.options import FolderOption, choice, number, whole_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +31,12 @@ class TrainOptions:
 
     reward: Annotated[str, choice("precise", "paper")] = "precise"
     """Which reward: the paper's, or the more precise one, such as precise."""
+
+    curriculum: Annotated[str, choice("measured", "paper", "flat")] = "measured"
+    """When stairs come: with success, on the paper's schedule, or never, such as measured."""
+
+    rise: Annotated[float, number(above=0.0)] = 0.15
+    """Highest rise of the stairs to train on in metres, such as 0.15."""
 
     workers: Annotated[int, whole_number(at_least=0)] = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""

@@ -153,6 +153,11 @@ class StepCursor:
         return targets
 
     @property
+    def lift_off_poses(self) -> np.ndarray:
+        """Where the foot of the window's first step stood before it (B, 4)."""
+        return self._pose[self._rows, np.maximum(self.entry - STANCE, 0)]
+
+    @property
     def clock(self) -> np.ndarray:
         """Sine and cosine of the gait phase (B, 2)."""
         return clock(self.ticks, self.side, self.tick, self.standing)

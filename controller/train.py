@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from controller.assess import ModeResult, assess_mode
+from controller.curriculum import Curriculum, Stage
 from controller.env import TaskConfig, Transition, WalkTask
 from controller.policy import Policy, fitting, save_policy
 from controller.ppo import (
@@ -32,8 +33,10 @@ from controller.ppo import (
 )
 from sim.robot import Robot
 
-CHECKPOINT_FORMAT = "walk-training/1"
+CHECKPOINT_FORMAT = "walk-training/2"
 ASSESS_SEED = 987_654_321
+# The held-out stair episodes with disturbances: what the follower is to withstand.
+ROUGH = {"tread_error_m": 0.03, "joint_noise_deg": 3.0}
 
 
 class TrainingError(ValueError):
@@ -49,6 +52,7 @@ class TrainConfig:
     seed: int = 0
     updates_per_segment: int = 20
     assess_episodes: int = 128
+    curriculum: Curriculum = field(default_factory=Curriculum)
     task: TaskConfig = field(default_factory=TaskConfig)
     ppo: PpoConfig = field(default_factory=PpoConfig)
 
@@ -75,6 +79,8 @@ class Report:
     landing_error_m: float
     falls_per_episode: float
     result: ModeResult
+    stage: Stage
+    stairs: tuple[ModeResult, ...]
     best: bool
 
 
@@ -86,6 +92,8 @@ class Tally:
     steps: int = 0
     ended: int = 0
     fallen: int = 0
+    stairs_ended: int = 0
+    stairs_fallen: int = 0
     failed: int = 0
     errors: list[np.ndarray] = field(default_factory=list)
     terms: dict[str, float] = field(default_factory=dict)
@@ -96,6 +104,8 @@ class Tally:
         self.steps += 1
         self.ended += int((step.terminated | step.truncated).sum())
         self.fallen += int(step.terminated.sum())
+        self.stairs_ended += int((step.stairs & (step.terminated | step.truncated)).sum())
+        self.stairs_fallen += int((step.stairs & step.terminated).sum())
         self.failed += int(step.failed.sum())
         self.errors.append(step.landing_error_m[step.landed])
         for name, value in step.terms.items():
@@ -107,6 +117,7 @@ class Tally:
         return {
             "reward": self.reward / max(self.steps, 1),
             "falls_per_episode": self.fallen / max(self.ended, 1),
+            "stairs_falls_per_episode": self.stairs_fallen / max(self.stairs_ended, 1),
             "landing_error_m": float(np.median(landings)) if len(landings) else float("nan"),
             "failed_simulations": float(self.failed),
             **{f"term/{name}": value / self.steps for name, value in self.terms.items()},
@@ -128,7 +139,8 @@ class Trainer:
         self.env = RslWalkEnv(task)
         self.ppo = make_ppo(self.env, config.ppo)
         self.segment = 0
-        self.best_score = -np.inf
+        self.stage = config.curriculum.first()
+        self.best_score = (-np.inf, -np.inf)
         self.history: list[dict[str, Any]] = []
 
     def run(self, progress: Callable[[Report], None]) -> Policy:
@@ -150,7 +162,7 @@ class Trainer:
         config = self.config
         segment_seed = np.random.SeedSequence([config.seed, self.segment])
         torch.manual_seed(int(segment_seed.generate_state(1)[0]))  # rsl-rl draws from it
-        self.env.task.restart(segment_seed)
+        self.env.task.restart(segment_seed, stage=self.stage)
         started, tally = time.perf_counter(), Tally()
         observation = self.env.get_observations()
         losses: dict[str, float] = {}
@@ -162,16 +174,31 @@ class Trainer:
             losses = self.ppo.update()
         seconds = time.perf_counter() - started
         self.segment += 1
-        result = assess_mode(
-            self.robot,
-            self._policy(),
-            None,
-            episodes=config.assess_episodes,
-            seed=ASSESS_SEED,
-            threads=self.threads,
-            config=config.task,
+        return self._note(writer, tally.summary(), losses, self._assess(), seconds)
+
+    def _assess(self) -> tuple[ModeResult, ...]:
+        """Held-out results at the present stage: flat, then stairs without and with disturbances.
+
+        The disturbances have the share that the stage gives those of training.
+        """
+        stage, policy = self.stage, self._policy()
+        cases: list[tuple[str | None, dict[str, float]]] = [(None, {})]
+        if stage.rise_m > 0:
+            rough = {name: stage.hardness * value for name, value in ROUGH.items()}
+            cases += [("stairs", {"rise_m": stage.rise_m, **extra}) for extra in ({}, rough)]
+        return tuple(
+            assess_mode(
+                self.robot,
+                policy,
+                mode,
+                episodes=-(-self.config.assess_episodes // len(cases)),
+                seed=ASSESS_SEED,
+                threads=self.threads,
+                config=self.config.task,
+                **settings,
+            )
+            for mode, settings in cases
         )
-        return self._note(writer, tally.summary(), losses, result, seconds)
 
     def _sample(self, observation: Any, tally: Tally) -> Any:
         """One rollout with the present policy; returns the observation after it."""
@@ -190,23 +217,37 @@ class Trainer:
         writer: Any,
         summary: dict[str, float],
         losses: dict[str, float],
-        result: ModeResult,
+        results: tuple[ModeResult, ...],
         seconds: float,
     ) -> Report:
-        """Log the segment, keep its line of history, and tell whether it is the best so far."""
-        config = self.config
+        """Log the segment, keep its line of history, and tell whether it is the best so far.
+
+        Of two policies the one that was assessed at the higher rise is better.
+        """
+        config, stage, (flat, *stairs) = self.config, self.stage, results
         samples = self.segment * config.samples_per_segment
-        assessed = result.summary
+        assessed = flat.summary
+        assessed_stairs = [result.summary for result in stairs]
         for name, value in {**summary, **{f"loss/{k}": v for k, v in losses.items()}}.items():
             writer.add_scalar(f"train/{name}", value, samples)
-        for name, number in assessed.items():
-            if not isinstance(number, str):
-                writer.add_scalar(f"assess/{name}", number, samples)
+        writer.add_scalar("train/rise_m", stage.rise_m, samples)
+        groups = zip(("assess", "stairs", "rough_stairs"), (flat, *stairs), strict=False)
+        for group, result in groups:
+            for name, number in result.summary.items():
+                if not isinstance(number, str):
+                    writer.add_scalar(f"{group}/{name}", number, samples)
         writer.flush()
-        score = _score(result)
+        score = (stage.rise_m, sum(_score(result) for result in results))
         best = score > self.best_score
         self.best_score = max(score, self.best_score)
-        self.history.append({"samples": samples, "seconds": seconds, **summary, "assess": assessed})
+        line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}
+        self.history.append({**line, "assess": assessed, "assess_stairs": assessed_stairs})
+        self.stage = config.curriculum.after(
+            stage,
+            updates=self.segment * config.updates_per_segment,
+            flat_success=flat.success,
+            stairs_success=stairs[0].success if stairs else 0.0,
+        )
         return Report(
             samples=samples,
             samples_total=config.segments * config.samples_per_segment,
@@ -215,7 +256,9 @@ class Trainer:
             reward=summary["reward"],
             landing_error_m=summary["landing_error_m"],
             falls_per_episode=summary["falls_per_episode"],
-            result=result,
+            result=flat,
+            stage=stage,
+            stairs=tuple(stairs),
             best=best,
         )
 
@@ -231,6 +274,8 @@ class Trainer:
                 "samples": self.segment * config.samples_per_segment,
                 "git_revision": self._revision,
                 "assessed": self.history[-1]["assess"] if self.history else None,
+                "assessed_stairs": self.history[-1]["assess_stairs"] if self.history else None,
+                "rise_m": self.stage.rise_m,
                 "config": asdict(config),
             },
         )
@@ -242,7 +287,8 @@ class Trainer:
             "format": CHECKPOINT_FORMAT,
             "config": json.dumps(asdict(self.config)),
             "segment": self.segment,
-            "best_score": float(self.best_score),
+            "stage": asdict(self.stage),
+            "best_score": list(self.best_score),
             "history": json.dumps(self.history),
             "learner": self.ppo.save(),
         }
@@ -274,14 +320,16 @@ class Trainer:
             )
         self.ppo.load(checkpoint["learner"], None, True)
         self.segment = checkpoint["segment"]
-        self.best_score = checkpoint["best_score"]
+        self.stage = Stage(**checkpoint["stage"])
+        rise_m, score = checkpoint["best_score"]
+        self.best_score = (rise_m, score)
         self.history = json.loads(checkpoint["history"])
 
 
 def _score(result: ModeResult) -> float:
     """Falls first, then the foot error: a policy that falls less is better."""
     error_m = float(result.summary["error_m_p95"])
-    return -100.0 * result.falls / result.episodes - (error_m if np.isfinite(error_m) else 1.0)
+    return 100.0 * (result.success - 1.0) - (error_m if np.isfinite(error_m) else 1.0)
 
 
 def git_revision() -> str:

@@ -16,6 +16,7 @@ class Walker:
 
     An action (B, J) is an offset in rad from half-sitting. The joint target sent is half the
     new action and half the one before, as in the reference code of Singh et al. 2022.
+    `late_ticks` (B,) in [0, 1] is by how much of a control step targets come late.
     """
 
     def __init__(self, scene: Scene, *, count: int = 1, threads: int = 1, capacity: int = 16):
@@ -24,11 +25,13 @@ class Walker:
         self.sim = SimBatch(scene, count=count, control_period_s=CONTROL_PERIOD_S, threads=threads)
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
+        self.late_ticks = np.zeros(count)
+        self._sent = np.zeros((count, len(self.robot.joints)))
 
     def place(self, row: int, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
         """Put robot `row` into a state and forget its last action."""
         self.sim.reset(np.array([row]), qpos[None], None if qvel is None else qvel[None])
-        self.action[row] = 0.0
+        self.action[row] = self._sent[row] = 0.0
 
     def follow(self, row: int, track: Track, *, wait_ticks: int = 0, walking: bool = False) -> None:
         """Give robot `row` a track; see `StepCursor.follow`."""
@@ -53,7 +56,9 @@ class Walker:
             True (B,) where a step's period has just ended, as from `StepCursor.advance`.
         """
         blend = 0.5 * (action + self.action)
-        self.sim.step(self.robot.half_sitting_rad + blend)
+        late = self.late_ticks[:, None]
+        self.sim.step(self.robot.half_sitting_rad + (1 - late) * blend + late * self._sent)
+        self._sent = blend
         self.action = action.copy()
         return self.cursor.advance()
 

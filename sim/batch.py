@@ -7,6 +7,8 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from sim.scene import Scene
+from sim.treads import Ground, GroundBatch
+from sim.variation import Variation
 
 _BAD_STATE = [
     int(warning)
@@ -48,6 +50,9 @@ class SimBatch:
         self.qpos = self._batch.bind("qpos")
         self.qvel = self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
+        self._ground = GroundBatch(scene.model, self._batch) if scene.has_treads else None
+        self._pushes: np.ndarray | None = None
+        self._pelvis = scene.model.body("pelvis").id
         self.sensors = np.zeros((count, substeps, scene.model.nsensordata))
         self.failed = np.zeros(count, dtype=bool)
         self.reset(np.arange(count), np.tile(scene.standing_qpos, (count, 1)))
@@ -60,6 +65,22 @@ class SimBatch:
         self.qpos[ids] = qpos
         self.qvel[ids] = 0.0 if qvel is None else qvel
         self.failed[ids] = False
+
+    def place_ground(self, row: int, ground: Ground) -> None:
+        """Give simulation `row`, just reset, its treads and floor; the scene must have treads."""
+        if self._ground is None:
+            raise ValueError("the scene was built without treads")
+        self._ground.place(row, ground)
+
+    def push(self, force_world_n: np.ndarray) -> None:
+        """Let forces (B, 3) act on the pelvises until the next call, or until the reset."""
+        if self._pushes is None:
+            self._pushes = self._batch.bind("xfrc_applied")
+        self._pushes[:, self._pelvis, :3] = force_world_n
+
+    def variation(self) -> Variation:
+        """The models of the simulations, to be made different from each other."""
+        return Variation(self.scene.model, self._batch)
 
     def step(self, targets_rad: np.ndarray) -> None:
         """Advance all by one control period with the joint targets (B, J) held."""

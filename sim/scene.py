@@ -10,6 +10,7 @@ import numpy as np
 
 from sim.robot import SURROUNDINGS_BITS, Robot
 from sim.sensors import SIDES, Sensors, add_sensors
+from sim.treads import add_treads
 
 WALL_HEIGHT_M = 1.0
 WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
@@ -42,6 +43,7 @@ class Scene:
     joint_qpos: np.ndarray
     joint_qvel: np.ndarray
     standing_qpos: np.ndarray
+    has_treads: bool = False
 
     def qpos_at(self, pose: np.ndarray) -> np.ndarray:
         """Half-sitting qpos (nq,) whose soles' midpoint is at the pose x_m, y_m, yaw_rad."""
@@ -65,19 +67,28 @@ class Scene:
 
 
 def build_scene(
-    robot: Robot, *, timestep_s: float, walls: Walls | None = None, visuals: bool = False
+    robot: Robot,
+    *,
+    timestep_s: float,
+    walls: Walls | None = None,
+    visuals: bool = False,
+    treads: bool = False,
 ) -> Scene:
     """The robot in half-sitting on a floor among walls.
 
     With `visuals` the model also gets sky, light, floor pattern and the robot's meshes, if it
-    has any; they change nothing in the physics.
+    has any; they change nothing in the physics. With `treads` the floor can be moved and there are
+    treads to be placed, per simulation (`sim.treads`).
     """
     spec = robot.build()
     spec.modelname = robot.name
     spec.option.timestep = timestep_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     _add_servos(spec, robot)
-    _add_floor(spec, visuals)
+    if treads:
+        add_treads(spec)
+    else:
+        _add_floor(spec, visuals)
     _add_walls(spec, walls or Walls())
     add_sensors(spec, robot)
     if visuals:
@@ -94,6 +105,7 @@ def build_scene(
         joint_qpos=joint_qpos,
         joint_qvel=np.array([joint.dofadr[0] for joint in joints]),
         standing_qpos=_standing_qpos(robot, model, joint_qpos),
+        has_treads=treads,
     )
 
 

@@ -1,0 +1,99 @@
+"""Ground that differs from simulation to simulation: stairs and a floor that can be lowered.
+
+The treads are boxes with a body each, parked far below until they are placed. They are mocap
+bodies: where they stand is part of each simulation's state, and resetting it parks them again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from sim.robot import SURROUNDINGS_BITS
+
+TREADS = 9
+LANDINGS = 2
+TREAD_DEPTH_M, TREAD_WIDTH_M = 0.33, 1.2
+LANDING_DEPTH_M, LANDING_WIDTH_M = 3.0, 2.4
+BLOCK_HEIGHT_M = 2.4
+PARKED_Z_M = -20.0
+FLOOR_BODY = "movable_floor"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ground:
+    """Where the ground of one simulation lies.
+
+    `treads` (n, 4) and `landings` (m, 4) are x_m, y_m, z_m, yaw_rad of the middle of each upper
+    face in the world, at most `TREADS` and `LANDINGS` of them. All are solid down to the floor.
+    """
+
+    floor_z_m: float = 0.0
+    treads: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    landings: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+
+
+def add_treads(spec: mujoco.MjSpec) -> None:
+    """Put the floor into a body of its own and add the treads and landings, parked."""
+    contype, conaffinity = SURROUNDINGS_BITS
+    floor = spec.worldbody.add_body(name=FLOOR_BODY, mocap=True)
+    floor.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        contype=contype,
+        conaffinity=conaffinity,
+    )
+    sizes = {
+        "tread": (TREADS, TREAD_DEPTH_M, TREAD_WIDTH_M),
+        "landing": (LANDINGS, LANDING_DEPTH_M, LANDING_WIDTH_M),
+    }
+    for name, (count, depth_m, width_m) in sizes.items():
+        for k in range(count):
+            body = spec.worldbody.add_body(name=f"{name}_{k}", mocap=True, pos=[0, 0, PARKED_Z_M])
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=[depth_m / 2, width_m / 2, BLOCK_HEIGHT_M / 2],
+                contype=contype,
+                conaffinity=conaffinity,
+                rgba=(0.66, 0.62, 0.56, 1.0),
+            )
+
+
+class GroundBatch:
+    """The ground of each of B simulations of a scene that has treads."""
+
+    def __init__(self, model: mujoco.MjModel, batch: Batch):
+        self._position = batch.bind("mocap_pos")
+        self._quaternion = batch.bind("mocap_quat")
+
+        def mocap(name: str) -> int:
+            return int(model.body(name).mocapid[0])
+
+        self._floor = mocap(FLOOR_BODY)
+        self._treads = [mocap(f"tread_{k}") for k in range(TREADS)]
+        self._landings = [mocap(f"landing_{k}") for k in range(LANDINGS)]
+
+    def place(self, row: int, ground: Ground) -> None:
+        """Give simulation `row`, just reset, its ground.
+
+        Raises:
+            ValueError: more treads or landings than the scene has.
+        """
+        if len(ground.treads) > TREADS or len(ground.landings) > LANDINGS:
+            raise ValueError(
+                f"{len(ground.treads)} treads and {len(ground.landings)} landings: "
+                f"at most {TREADS} and {LANDINGS}"
+            )
+        self._position[row, self._floor, 2] = ground.floor_z_m
+        for bodies, poses in (
+            (self._treads, ground.treads),
+            (self._landings, ground.landings),
+        ):
+            for body, (x, y, z, yaw) in zip(bodies, poses, strict=False):
+                self._position[row, body] = x, y, z - BLOCK_HEIGHT_M / 2
+                self._quaternion[row, body] = math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)
