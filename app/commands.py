@@ -50,6 +50,12 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             run="app.evaluate:run",
             example="evaluate --robot jvrc1 --out runs/evaluate",
         ),
+        "export": Command(
+            summary="write a policy as one ONNX file for other programs",
+            options="app.export:ExportOptions",
+            run="app.export:run",
+            example="export --robot jvrc1 --out policy.onnx",
+        ),
         "navigate": Command(
             summary="plan, walk the plan in MuJoCo with the trained policy, report",
             options="app.navigate_options:NavigateOptions",

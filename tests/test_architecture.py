@@ -29,6 +29,7 @@ MAY_LOAD = {
     "torch": ("controller", "app"),
     "rsl_rl": ("controller", "app"),
     "gymnasium": ("controller",),
+    "onnx": ("controller",),
     "tensordict": ("controller", "app"),
     "ompl": ("planner",),
     "numba": ("planner",),

@@ -1,0 +1,136 @@
+"""A policy as one ONNX file: raw observation in, action out, and in it all that a user must know.
+
+The graph is written out layer by layer; the normaliser is its first two nodes. The weights are in
+the file itself, without a second file of data beside it.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.policy import Policy
+from sim.robot import Robot
+
+if TYPE_CHECKING:
+    import onnx
+
+FORMAT = "footstep-policy-onnx/1"
+# Old enough for the runtimes of the last years; the nodes used have not changed since.
+OPSET, IR_VERSION = 17, 8
+CHECKED_OBSERVATIONS = 1000
+TOLERANCE = 1e-5
+
+
+class ExportError(ValueError):
+    """The file cannot be made here, or does not do what the policy does."""
+
+
+def require_onnx() -> None:
+    """Checks that the package onnx is there.
+
+    Raises:
+        ExportError: it is not; the message says what to install.
+    """
+    try:
+        import onnx  # noqa: F401
+    except ImportError as error:
+        raise ExportError(
+            "export needs the package onnx: python -m pip install -e '.[export]'"
+        ) from error
+
+
+def to_onnx(policy: Policy, robot: Robot) -> onnx.ModelProto:
+    """The model: `observation` (B, N) as from `observe`, float32, to `action` (B, J) in rad."""
+    from onnx import TensorProto, checker, helper, numpy_helper
+
+    nodes, constants = [], []
+
+    def constant(name: str, values: np.ndarray) -> str:
+        constants.append(numpy_helper.from_array(np.ascontiguousarray(values, np.float32), name))
+        return name
+
+    def node(kind: str, *inputs: str, output: str, **attributes: Any) -> str:
+        nodes.append(helper.make_node(kind, inputs, [output], name=output, **attributes))
+        return output
+
+    value = node("Sub", "observation", constant("offset", policy.offset), output="centred")
+    value = node("Div", value, constant("scale", policy.scale), output="scaled")
+    last = len(policy.layers) - 1
+    for k, (weight, bias) in enumerate(policy.layers):
+        inputs = value, constant(f"weight_{k}", weight), constant(f"bias_{k}", bias)
+        output = "action" if k == last else f"layer_{k}"
+        value = node("Gemm", *inputs, output=output, transB=1)
+        if k < last:
+            value = node("Relu", value, output=f"relu_{k}")
+    shapes = {"observation": len(policy.offset), "action": len(robot.joints)}
+    ends = {
+        name: helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width])
+        for name, width in shapes.items()
+    }
+    graph = helper.make_graph(
+        nodes, f"{robot.name}_policy", [ends["observation"]], [ends["action"]], constants
+    )
+    model = helper.make_model(
+        graph,
+        producer_name="footfall",
+        ir_version=IR_VERSION,
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        doc_string="Leg joint targets for a humanoid that steps where it is told.",
+    )
+    helper.set_model_props(model, metadata(policy, robot))
+    checker.check_model(model, full_check=True)
+    return model
+
+
+def metadata(policy: Policy, robot: Robot) -> dict[str, str]:
+    """What the file says of itself; lists and numbers as JSON."""
+    trained = policy.about.get("trained") or {}
+    ticks = GaitTicks.of(robot.gait)
+    facts: dict[str, Any] = {
+        "joints": [joint.name for joint in robot.joints],
+        "half_sitting_rad": robot.half_sitting_rad.tolist(),
+        "kp_nm_rad": [joint.kp for joint in robot.joints],
+        "kd_nm_s_rad": [joint.kd for joint in robot.joints],
+        "torque_limit_nm": [joint.torque_limit_nm for joint in robot.joints],
+        "control_period_s": CONTROL_PERIOD_S,
+        "gait_ticks": {"swing": ticks.swing, "double_support": ticks.double_support},
+        "pelvis_height_m": robot.pelvis_height_m,
+        "observation": policy.about["observation"],
+        "trained": {key: trained.get(key) for key in ("command", "seed", "samples")},
+    }
+    return {
+        "format": FORMAT,
+        "robot": robot.name,
+        "joint_target_rad": "half_sitting_rad + 0.5 * (action + previous_action)",
+        "mujoco_version": str(policy.about.get("mujoco_version", "unknown")),
+        "git_revision": str(trained.get("git_revision", "unknown")),
+        "weights_sha256": str(policy.about.get("sha256", "unknown")),
+        **{key: json.dumps(value) for key, value in facts.items()},
+    }
+
+
+def greatest_difference(path: Path, policy: Policy) -> float:
+    """How far the file's actions are from the policy's, in rad, over random observations.
+
+    They are drawn three times as wide as the normaliser's scale.
+
+    Raises:
+        ExportError: further than rounding to float32 explains.
+    """
+    from onnx.reference import ReferenceEvaluator
+
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(size=(CHECKED_OBSERVATIONS, len(policy.offset)))
+    observation = (policy.offset + 3 * policy.scale * drawn).astype(np.float32)
+    (action,) = ReferenceEvaluator(str(path)).run(["action"], {"observation": observation})
+    native = policy.act(observation)
+    difference = float(np.abs(action - native).max())
+    # Not `>`: that is false of numbers that are not finite.
+    if not difference <= TOLERANCE * max(1.0, float(np.abs(native).max())):
+        raise ExportError(f"the exported policy differs from its original by {difference:.2g} rad")
+    return difference
