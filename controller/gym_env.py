@@ -12,10 +12,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from controller.curriculum import Stage
 from controller.env import TaskConfig
 from controller.gait import CONTROL_PERIOD_S
 from controller.gym_painter import Painter
 from controller.gym_task import (
+    LANDING_ERRORS,
     action_space,
     checked_action,
     make_task,
@@ -52,19 +54,24 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         *,
         mode: str | None = None,
         config: TaskConfig | None = None,
+        stage: Stage | None = None,
         render_mode: str | None = None,
     ):
         """Set the robot up; `mode` is a way of walking, None for a mix of all.
+
+        `stage` says how high stairs are and how much is disturbed: nothing, unless it is given.
 
         Raises:
             ValueError: there is no such robot, way of walking or render mode.
             NoGlError: pictures are asked for, and no GL library works here.
         """
-        self._task = make_task(robot, count=1, mode=mode, config=config, render_mode=render_mode)
+        self._task = make_task(
+            robot, count=1, mode=mode, config=config, stage=stage, render_mode=render_mode
+        )
         self.render_mode = render_mode
         self.observation_space = observation_space(self._task.robot)
         self.action_space = action_space(self._task.robot)
-        self._painter = Painter(self._task.robot) if render_mode else None
+        self._painter = Painter(self._task.walker.scene) if render_mode else None
         self._ended = False
 
     def reset(
@@ -83,23 +90,23 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         step = self._task.step(checked_action(action, (joints,))[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._ended = terminated or truncated
-        seen = self._task.before_reset.observation if self._ended else step.observation
+        seen = self._task.last_observation if self._ended else step.observation
         info: dict[str, Any] = {
             "landed": bool(step.landed[0]),
+            "stairs": bool(step.stairs[0]),
             "failed": bool(step.failed[0]),
             "reward_terms": step.terms,
         }
         if info["landed"]:
-            info["landing_error_m"] = float(step.landing_error_m[0])
-            info["landing_heading_error_rad"] = float(step.landing_heading_error_rad[0])
+            info |= {name: float(getattr(step, name)[0]) for name in LANDING_ERRORS}
         return within_space(seen)[0], float(step.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """A picture (480, 640, 3) of the robot and its next two steps; None without render_mode."""
         if self._painter is None:
             return None
-        moment = self._task.before_reset if self._ended else self._task.moment()
-        return self._painter.draw(moment.qpos[0], moment.window[0], int(moment.side[0]))
+        moment = self._task.last_moment if self._ended else self._task.moment()
+        return self._painter.draw(moment, 0)
 
     def close(self) -> None:
         """Free what drawing holds."""

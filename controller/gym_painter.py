@@ -9,10 +9,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from controller.gym_task import Moment
 from planner.model import Side
 from sim.gl import NoGlError, prepare_gl
-from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
-from sim.scene import build_scene
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
+from sim.scene import Scene, build_scene
 
 WIDTH, HEIGHT = 640, 480
 COLOURS = {Side.LEFT: (0.12, 0.43, 0.78, 1.0), Side.RIGHT: (0.94, 0.47, 0.16, 1.0)}
@@ -26,16 +27,18 @@ class Painter:
     MuJoCo was imported, as `mujoco.Renderer` would have it.
     """
 
-    def __init__(self, robot: Robot):
-        """Get ready to draw.
+    def __init__(self, scene: Scene):
+        """Get ready to draw the robot of a scene, on the ground that the scene has.
 
         Raises:
             NoGlError: no GL library works here.
         """
         self._context = _gl_context()
+        robot = scene.robot
         self._foot = robot.step_model.foot
-        # The time step has no part in drawing.
-        self._model = build_scene(robot, timestep_s=0.001, visuals=True).model
+        self._model = build_scene(
+            robot, timestep_s=scene.model.opt.timestep, visuals=True, treads=scene.has_treads
+        ).model
         self._model.vis.quality.offsamples = 0  # smooth edges take most of the time in software
         self._model.vis.headlight.ambient[:] = 0.2
         self._data = mujoco.MjData(self._model)
@@ -47,30 +50,27 @@ class Painter:
         self._shown.geomgroup[PHYSICS_GROUP] = not has_meshes
         self._camera = mujoco.MjvCamera()
         self._camera.distance = 1.5 * robot.height_m
-        self._camera.azimuth, self._camera.elevation = 145.0, -18.0
-        self._camera.lookat[2] = 0.46 * robot.height_m
+        self._camera.azimuth, self._camera.elevation = 70.0, -18.0
         self._renderer = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
 
-    def draw(self, qpos: np.ndarray, window: np.ndarray, side: int) -> np.ndarray:
-        """The picture (HEIGHT, WIDTH, 3), red green blue, at qpos (nq,).
-
-        Args:
-            qpos: of the robot.
-            window: the present and the next step in the world (2, 4).
-            side: the foot of the present one.
-        """
+    def draw(self, moment: Moment, row: int) -> np.ndarray:
+        """The picture (HEIGHT, WIDTH, 3), red green blue, of robot `row` at a moment."""
         self._context.make_current()
+        qpos, window, side = moment.qpos[row], moment.window[row], Side(int(moment.side[row]))
         self._data.qpos[:] = qpos
+        if moment.ground is not None:
+            self._data.mocap_pos[:] = moment.ground[0][row]
+            self._data.mocap_quat[:] = moment.ground[1][row]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        self._camera.lookat[:2] = qpos[:2]
+        self._camera.lookat[:] = qpos[:3]
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
             self._model, self._data, self._shown, None, self._camera, everything, self._scene
         )
-        self._add_plate(window[0], Side(side))
-        self._add_plate(window[1], Side(side).other)
+        self._add_plate(window[0], side)
+        self._add_plate(window[1], side.other)
         picture = np.empty((HEIGHT, WIDTH, 3), np.uint8)
         frame = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
         mujoco.mjr_render(frame, self._scene, self._renderer)

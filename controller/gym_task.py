@@ -7,15 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from gymnasium import spaces
 
+from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.observation import SCALED_LIMIT, policy_fields
 from controller.sequences import MODES
+from controller.stairs import STAIR_MODES
 from sim.robot import Robot
 from sim.robots import get_robot
 
 # Further from half-sitting the joint targets are held there: beyond every joint that a leg has,
 # or so far that the servo gives all its torque.
 ACTION_LIMIT_RAD = 2.0
+# What a transition tells of a foot that has just landed.
+LANDING_ERRORS = ("landing_error_m", "landing_height_error_m", "landing_heading_error_rad")
 
 
 def observation_space(robot: Robot) -> spaces.Box:
@@ -54,40 +58,42 @@ def checked_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True)
 class Moment:
-    """All robots at one moment: scaled observation (B, N) and what a picture needs.
+    """What a picture needs of all robots at one moment.
 
     `qpos` is (B, nq), `window` (B, 2, 4) the present and the next step in the world, `side` (B,)
-    the foot of the present one.
+    the foot of the present one. `ground` is as `SimBatch.ground_pose` gives it.
     """
 
-    observation: np.ndarray
     qpos: np.ndarray
     window: np.ndarray
     side: np.ndarray
+    ground: tuple[np.ndarray, np.ndarray] | None
 
 
 class EpisodeTask(WalkTask):
     """The walking task, which also keeps how episodes ended.
 
-    A `WalkTask` starts the next episode within the step that ends one; `before_reset` is the
-    moment between the two.
+    A `WalkTask` starts the next episode within the step that ends one; `last_observation` (B, N)
+    and `last_moment` are from between the two.
     """
 
-    before_reset: Moment
+    last_observation: np.ndarray
+    last_moment: Moment
 
     def reset(self, rows: np.ndarray) -> None:
         """Start new episodes for the robots `rows`, after a look at the old ones."""
-        self.before_reset = self.moment()
+        if len(rows):
+            self.last_observation, self.last_moment = self.observe(), self.moment()
         super().reset(rows)
 
     def moment(self) -> Moment:
         """The robots as they are now."""
         cursor = self.walker.cursor
         return Moment(
-            observation=self.observe(),
             qpos=self.walker.sim.qpos.copy(),
             window=cursor.window,
             side=cursor.side,
+            ground=self.walker.sim.ground_pose,
         )
 
 
@@ -98,6 +104,7 @@ def make_task(
     threads: int = 1,
     mode: str | None,
     config: TaskConfig | None,
+    stage: Stage | None,
     render_mode: str | None,
 ) -> EpisodeTask:
     """The task that an environment runs.
@@ -107,13 +114,19 @@ def make_task(
     """
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
-    modes = (*MODES, "standing")
+    modes = (*MODES, *STAIR_MODES, "standing")
     if mode is not None and mode not in modes:
         raise ValueError(f"mode {mode!r}: choose one of {', '.join(modes)}, or None for a mix")
     if count < 1:
         raise ValueError(f"num_envs {count} must be at least 1")
     return EpisodeTask(
-        get_robot(robot), count=count, seed=0, threads=threads, mode=mode, config=config
+        get_robot(robot),
+        count=count,
+        seed=0,
+        threads=threads,
+        mode=mode,
+        config=config,
+        stage=stage,
     )
 
 

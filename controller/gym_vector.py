@@ -9,10 +9,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
+from controller.curriculum import Stage
 from controller.env import TaskConfig, Transition
 from controller.gym_env import WalkEnv
 from controller.gym_painter import Painter
 from controller.gym_task import (
+    LANDING_ERRORS,
     action_space,
     checked_action,
     make_task,
@@ -44,6 +46,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         threads: int = 1,
         mode: str | None = None,
         config: TaskConfig | None = None,
+        stage: Stage | None = None,
         render_mode: str | None = None,
     ):
         """Set `num_envs` robots up, whose physics runs in `threads` threads.
@@ -58,6 +61,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
             threads=threads,
             mode=mode,
             config=config,
+            stage=stage,
             render_mode=render_mode,
         )
         self.num_envs = num_envs
@@ -66,7 +70,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         self.single_action_space = action_space(self._task.robot)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._painter = Painter(self._task.robot) if render_mode else None
+        self._painter = Painter(self._task.walker.scene) if render_mode else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -86,7 +90,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         infos: dict[str, Any] = dict(_infos(step, ~ended))
         if ended.any():
             final = np.full(self.num_envs, None, dtype=object)
-            seen = within_space(self._task.before_reset.observation)
+            seen = within_space(self._task.last_observation)
             for row in np.flatnonzero(ended):
                 final[row] = seen[row].copy()
             infos |= {"final_obs": final, "_final_obs": ended.copy()}
@@ -99,10 +103,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         if self._painter is None:
             return None
         now = self._task.moment()
-        return tuple(
-            self._painter.draw(qpos, window, int(side))
-            for qpos, window, side in zip(now.qpos, now.window, now.side, strict=True)
-        )
+        return tuple(self._painter.draw(now, row) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free what drawing holds."""
@@ -112,15 +113,11 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
 
 def _infos(step: Transition, rows: np.ndarray) -> dict[str, np.ndarray]:
     """What the step tells of the robots where `rows` (B,) is true, with masks."""
-    landed = rows & step.landed
-    told = {
-        "landed": (step.landed, rows),
-        "failed": (step.failed, rows),
-        "landing_error_m": (step.landing_error_m, landed),
-        "landing_heading_error_rad": (step.landing_heading_error_rad, landed),
-    }
+    told = dict.fromkeys(("landed", "stairs", "failed"), rows)
+    told |= dict.fromkeys(LANDING_ERRORS, rows & step.landed)
     infos = {}
-    for name, (values, mask) in told.items():
+    for name, mask in told.items():
+        values = getattr(step, name)
         infos[name] = np.where(mask, values, np.zeros(1, values.dtype))
         infos[f"_{name}"] = mask.copy()
     return infos

@@ -72,6 +72,14 @@ class SimBatch:
             raise ValueError("the scene was built without treads")
         self._ground.place(row, ground)
 
+    @property
+    def ground_pose(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Positions (B, n, 3) and quaternions (B, n, 4) of floor and treads; None without treads.
+
+        They are copies, in the order of the model's mocap bodies.
+        """
+        return None if self._ground is None else self._ground.pose
+
     def push(self, force_world_n: np.ndarray) -> None:
         """Let forces (B, 3) act on the pelvises until the next call, or until the reset."""
         if self._pushes is None:

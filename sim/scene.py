@@ -88,7 +88,7 @@ def build_scene(
     if treads:
         add_treads(spec)
     else:
-        _add_floor(spec, visuals)
+        _add_floor(spec)
     _add_walls(spec, walls or Walls())
     add_sensors(spec, robot)
     if visuals:
@@ -140,17 +140,15 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
         actuator.set_to_position(kp=leg_joint.kp, kv=leg_joint.kd)
 
 
-def _add_floor(spec: mujoco.MjSpec, visuals: bool) -> None:
+def _add_floor(spec: mujoco.MjSpec) -> None:
     contype, conaffinity = SURROUNDINGS_BITS
-    floor = spec.worldbody.add_geom(
+    spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
         contype=contype,
         conaffinity=conaffinity,
     )
-    if visuals:
-        floor.material = "floor"
 
 
 def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
@@ -196,6 +194,7 @@ def _add_looks(spec: mujoco.MjSpec) -> None:
     textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
     textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "floor"
     spec.add_material(name="floor", textures=textures, texrepeat=[1, 1], texuniform=True)
+    spec.geom("floor").material = "floor"
     spec.worldbody.add_light(
         pos=[0, 0, 6], dir=[0.2, 0.3, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     )

@@ -78,6 +78,11 @@ class GroundBatch:
         self._treads = [mocap(f"tread_{k}") for k in range(TREADS)]
         self._landings = [mocap(f"landing_{k}") for k in range(LANDINGS)]
 
+    @property
+    def pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of all positions (B, n, 3) and quaternions (B, n, 4)."""
+        return self._position.copy(), self._quaternion.copy()
+
     def place(self, row: int, ground: Ground) -> None:
         """Give simulation `row`, just reset, its ground.
 

@@ -11,6 +11,7 @@ from gymnasium.utils import seeding
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.gym_env import environment_id
 from controller.gym_vector import WalkVectorEnv
@@ -126,9 +127,10 @@ def test_landings_are_told_with_their_errors_where_there_are_any():
     assert 4 <= landings <= 8
 
 
+@pytest.mark.parametrize("stage", [None, Stage(rise_m=0.1, hardness=1.0)])
 @pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
-def test_same_seed_same_episodes_and_another_seed_others(make):
-    first, second = make(JVRC1), make(JVRC1)
+def test_same_seed_same_episodes_and_another_seed_others(make, stage):
+    first, second = make(JVRC1, stage=stage), make(JVRC1, stage=stage)
     one, two = first.reset(seed=3)[0], second.reset(seed=3)[0]
     assert np.array_equal(one, two)
     # Without a seed the next episodes are other ones, and again the same for both.
@@ -152,6 +154,13 @@ def test_what_cannot_be_made_is_told_in_one_line(given, told):
     with pytest.raises(ValueError, match=told) as caught:
         WalkVectorEnv(**given)
     assert "\n" not in str(caught.value)
+
+
+def test_stairs_are_told():
+    envs = gymnasium.make_vec(JVRC1, num_envs=2, mode="stairs_up", stage=Stage(rise_m=0.1))
+    envs.reset(seed=0)
+    info = envs.step(np.zeros((2, 12)))[4]
+    assert info["stairs"].tolist() == [True, True]
 
 
 def test_actions_of_another_shape_or_not_finite_are_refused():

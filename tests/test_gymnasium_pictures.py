@@ -22,8 +22,11 @@ import gymnasium
 import numpy as np
 from gymnasium.utils.env_checker import check_env
 import controller.gym_env
+from controller.curriculum import Stage
+from controller.env import TaskConfig
 from sim.gl import NoGlError
 
+EXACT = TaskConfig(exact_rise=True)
 id = "Footfall/Jvrc1-v0"
 try:
     env = gymnasium.make(id, render_mode="rgb_array", mode="standing")
@@ -43,6 +46,12 @@ envs = gymnasium.make_vec(id, num_envs=2, render_mode="rgb_array", mode="standin
 envs.reset(seed=1)
 pictures += envs.render()
 envs.close()
+climber = gymnasium.make(
+    id, render_mode="rgb_array", mode="stairs_up", stage=Stage(rise_m=0.15), config=EXACT
+)
+climber.reset(seed=0)
+pictures.append(climber.render())
+climber.close()
 cv2.imwrite(sys.argv[1], np.stack(pictures).reshape(-1, 640, 3))
 check_env(gymnasium.make(id).unwrapped)
 """
@@ -50,7 +59,7 @@ check_env(gymnasium.make(id).unwrapped)
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory) -> np.ndarray:
-    """Standing, fallen, standing again, and two other robots: (5, 480, 640, 3)."""
+    """Standing, fallen, standing again, two others, before stairs: (6, 480, 640, 3)."""
     path = tmp_path_factory.mktemp("drawn") / "all.png"
     # MuJoCo is not told of a GL library here, as with somebody who has set nothing.
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
@@ -71,7 +80,7 @@ def pictures(tmp_path_factory) -> np.ndarray:
 
 
 def test_a_picture_shows_the_robot_and_both_steps(pictures):
-    assert len(pictures) == 5
+    assert len(pictures) == 6
     standing = pictures[0].astype(int)
     for side in Side:
         colour = 255 * np.array(COLOURS[side][:3])
@@ -86,3 +95,9 @@ def test_the_last_picture_of_an_episode_shows_how_it_ended(pictures):
 
 def test_every_robot_of_a_vector_is_drawn(pictures):
     assert (pictures[3] != pictures[4]).any()
+
+
+def test_stairs_are_drawn(pictures):
+    # The treads' colour in light, blue green red; nothing else is brown.
+    blue, green, red = pictures[5].astype(int).transpose(2, 0, 1)
+    assert ((red - blue > 15) & (red - green < 20) & (red > 60)).sum() > 5000
