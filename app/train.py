@@ -15,8 +15,11 @@ from app.train_options import TrainOptions
 from controller.curriculum import PRESETS as CURRICULA
 from controller.curriculum import Curriculum
 from controller.env import TaskConfig
+from controller.planned import PlannedSteps
 from controller.reward import PRESETS
 from controller.train import Report, TrainConfig, Trainer, TrainingError
+from planner.corpus import Corpus, CorpusError
+from sim.robot import Robot
 
 HIGHEST_RISE_M = 0.20
 
@@ -24,10 +27,12 @@ HIGHEST_RISE_M = 0.20
 def run(options: TrainOptions) -> int:
     """Carries the command out; returns the exit code."""
     robot = find_robot(options.robot)
+    planned = _planned(options, robot)
     config = TrainConfig(
         robot=robot.name,
         samples=options.samples,
         seed=options.seed,
+        corpus="" if planned is None else planned.digest,
         curriculum=_curriculum(options),
         task=TaskConfig(reward=dict(PRESETS[options.reward])),
     )
@@ -39,6 +44,7 @@ def run(options: TrainOptions) -> int:
         options.out,
         threads=options.workers or os.cpu_count() or 1,
         command=command_line(options),
+        planned=planned,
     )
     if options.resume:
         with as_bad_input(TrainingError):
@@ -50,6 +56,14 @@ def run(options: TrainOptions) -> int:
         trainer.run(lambda report: bar.update(report.samples, progress_line(report)))
     say(f"the best policy is {options.out / robot.name}.safetensors")
     return ExitCode.DONE
+
+
+def _planned(options: TrainOptions, robot: Robot) -> PlannedSteps | None:
+    if options.corpus is None:
+        return None
+    with as_bad_input(CorpusError):
+        corpus = Corpus.load(options.corpus)
+        return PlannedSteps.of(corpus, robot.name, robot.training_model)
 
 
 def progress_line(report: Report) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.inputs import RobotName
-from app.options import FolderOption, choice, number, whole_number
+from app.options import FolderOption, OptionalFolder, choice, number, whole_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +37,9 @@ class TrainOptions:
 
     rise: Annotated[float, number(above=0.0)] = 0.15
     """Highest rise of the stairs to train on in metres, such as 0.15."""
+
+    corpus: OptionalFolder = None
+    """Corpus of `dataset` to train on as well, such as runs/corpus."""
 
     workers: Annotated[int, whole_number(at_least=0)] = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""

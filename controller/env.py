@@ -17,6 +17,7 @@ from controller.observation import (
     to_heading_frame,
     wrap_angle_rad,
 )
+from controller.planned import PlannedSteps
 from controller.reward import PRECISE, WalkState, reward
 from controller.robustness import Disturbances, Robustness
 from controller.sequences import MAX_STEPS, draw_track
@@ -36,6 +37,7 @@ class TaskConfig:
 
     `stairs_share` of the episodes are on stairs once the curriculum has come to them. Where
     `exact_rise` is set, all their rises are the stage's own, else they are drawn up to it.
+    `planned_share` of the flat episodes walk steps of the planner's corpus, if there is one.
     """
 
     timestep_s: float = 0.005
@@ -44,6 +46,7 @@ class TaskConfig:
     joint_speed_noise_rad_s: float = 0.2
     wait_ticks: int = 20
     stairs_share: float = 0.38
+    planned_share: float = 0.25
     exact_rise: bool = False
     robustness: Robustness = field(default_factory=Robustness)
     reward: Mapping[str, float] = field(default_factory=lambda: dict(PRECISE))
@@ -76,7 +79,8 @@ class WalkTask:
     An episode is terminated when the robot has fallen (pelvis too low over the lower foot), its
     legs touch, or the simulation left the finite numbers; it is truncated at its full length.
     `stage` says how hard new episodes are; `mode` is one of `MODES`, `STAIR_MODES` or `standing`,
-    and None draws from all flat modes and, at the stage's rise, stairs.
+    and None draws from all flat modes, the planner's own steps if there are any `planned`, and, at
+    the stage's rise, stairs.
     """
 
     def __init__(
@@ -89,10 +93,12 @@ class WalkTask:
         mode: str | None = None,
         config: TaskConfig | None = None,
         stage: Stage | None = None,
+        planned: PlannedSteps | None = None,
     ):
         self.config = config or TaskConfig()
         self.robot = robot
         self.mode = mode
+        self.planned = planned
         self.stage = stage or Stage()
         stairs = mode in STAIR_MODES or (mode is None and self.config.stairs_share > 0)
         self.walker = Walker(
@@ -162,6 +168,8 @@ class WalkTask:
                 tread_error_m=disturbances.draw_tread_error_m(rng, stage.hardness),
             )
             self.walker.sim.place_ground(row, ground)
+        elif mode is None and self.planned and rng.uniform() < config.planned_share:
+            track = self.planned.draw(rng, self._start_feet, steps=steps)
         else:
             track = draw_track(rng, model, self._start_feet, mode=mode, steps=steps)
         wait_ticks = int(rng.integers(config.wait_ticks + 1))

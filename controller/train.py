@@ -23,6 +23,7 @@ import torch
 from controller.assess import ModeResult, assess_mode
 from controller.curriculum import Curriculum, Stage
 from controller.env import TaskConfig, Transition, WalkTask
+from controller.planned import PlannedSteps
 from controller.policy import Policy, fitting, save_policy
 from controller.ppo import (
     PpoConfig,
@@ -45,11 +46,15 @@ class TrainingError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """A whole run. `samples` are control steps of single robots."""
+    """A whole run. `samples` are control steps of single robots.
+
+    `corpus` is the digest of the planner's corpus that is trained on, empty for none.
+    """
 
     robot: str = "jvrc1"
     samples: int = 16_000_000
     seed: int = 0
+    corpus: str = ""
     updates_per_segment: int = 20
     assess_episodes: int = 128
     curriculum: Curriculum = field(default_factory=Curriculum)
@@ -127,14 +132,28 @@ class Tally:
 class Trainer:
     """One training run in one folder: checkpoint, log, and the best policy so far."""
 
-    def __init__(self, robot: Robot, config: TrainConfig, out: Path, *, threads: int, command: str):
+    def __init__(
+        self,
+        robot: Robot,
+        config: TrainConfig,
+        out: Path,
+        *,
+        threads: int,
+        command: str,
+        planned: PlannedSteps | None = None,
+    ):
         self.robot, self.config, self.out = robot, config, out
         self.threads, self.command = threads, command
         self._revision = git_revision()  # of the code that runs, not of what is committed later
         torch.set_num_threads(config.ppo.learner_threads)
         torch.manual_seed(config.seed)
         task = WalkTask(
-            robot, count=config.ppo.robots, seed=config.seed, threads=threads, config=config.task
+            robot,
+            count=config.ppo.robots,
+            seed=config.seed,
+            threads=threads,
+            config=config.task,
+            planned=planned,
         )
         self.env = RslWalkEnv(task)
         self.ppo = make_ppo(self.env, config.ppo)

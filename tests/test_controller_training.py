@@ -9,13 +9,18 @@ import numpy as np
 import pytest
 
 from controller.assess import assess_mode, in_step_frame
+from controller.cursor import STANCE
 from controller.env import TaskConfig, WalkTask
+from controller.planned import PlannedSteps
 from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
 from controller.ppo import PpoConfig
 from controller.sequences import MAX_STEPS, MODES, draw_track
 from controller.train import TrainConfig, Trainer, TrainingError
+from maps.grid import OccupancyGrid
+from planner.api import plan_footsteps
+from planner.corpus import corpus_of
 from planner.model import Side
-from planner.plan import relative_step
+from planner.plan import feet_at, relative_step
 from sim.robots import get_robot, robot_names
 
 TINY = TrainConfig(
@@ -242,3 +247,32 @@ def test_folder_that_cannot_be_resumed_says_why(tmp_path):
     (tmp_path / "none" / "checkpoint.pt").write_bytes(b"no torch file")
     with pytest.raises(TrainingError, match="damaged"):
         trainer.resume()
+
+
+def test_planned_steps_are_pieces_of_plans_with_either_foot_first():
+    robot = get_robot("jvrc1")
+    model = robot.step_model
+    plans = [
+        plan_footsteps(empty_floor(), model, start=(1, 1, 0), goal=goal)
+        for goal in ((2.5, 1.2, 0.4), (1.0, 1.0, 0.0))
+    ]
+    assert [len(plan) > 0 for plan in plans] == [True, False]
+    planned = PlannedSteps.of(corpus_of(plans, "jvrc1"), "jvrc1", robot.training_model)
+    feet = feet_at((0.0, 0.0, 0.0), model.stance_width_m)
+    rng, firsts = np.random.default_rng(0), set()
+    for _ in range(20):
+        track = planned.draw(rng, feet, steps=4)
+        side, pose = track.side[STANCE:], track.pose_world[STANCE:]
+        firsts.add(int(side[0]))
+        support = np.concatenate([[feet[1 - side[0]]], pose[:-1]])
+        steps = [
+            relative_step(a, b, Side(int(s))) for a, b, s in zip(support, pose, side, strict=True)
+        ]
+        starts = range(len(planned.relative) - len(steps) + 1)
+        assert any(np.allclose(steps, planned.relative[k : k + len(steps)]) for k in starts)
+        assert len(steps) == 4
+    assert firsts == {0, 1}
+
+
+def empty_floor():
+    return OccupancyGrid(cells=np.zeros((60, 80), np.uint8), resolution_m=0.05)
