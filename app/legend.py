@@ -15,6 +15,7 @@ Colour = tuple[int, int, int]
 
 INK: Colour = (54, 48, 45)
 PAPER: Colour = (255, 255, 255)
+_PALE, _OUTLINE = 230, (170, 170, 170)  # what is paler than this shows on paper by its outline
 LEAST_WIDTH_PX = 640
 LINE_HEIGHT_PX = 26
 
@@ -62,6 +63,8 @@ def _rows(legend: Sequence[Swatch], width_px: int) -> list[list[tuple[int, Swatc
 def _draw_swatch(picture: Picture, swatch: Swatch, left_px: int, top_px: int) -> None:
     corners = (left_px, top_px), (left_px + 22, top_px + 11)
     cv2.rectangle(picture, *corners, swatch.colour, -1 if swatch.filled else 2, cv2.LINE_AA)
+    if swatch.filled and min(swatch.colour) > _PALE:
+        cv2.rectangle(picture, *corners, _OUTLINE, 1, cv2.LINE_AA)
     _write(picture, swatch.text, left_px + 30, top_px + 12)
 
 

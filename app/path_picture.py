@@ -13,6 +13,7 @@ from maps.grid import OccupancyGrid
 from planner.model import FootShape, Side, StepModel
 from planner.picture import GOAL, LEFT, PATH, RIGHT, START, Canvas, Colour, draw_plan
 from planner.plan import FootstepPlan
+from planner.relief import height_colour, height_range
 
 FloatArray = NDArray[np.float64]
 
@@ -61,7 +62,7 @@ def plan_picture(grid: OccupancyGrid, model: StepModel, plan: FootstepPlan) -> P
         Swatch(colour=RIGHT, text="right foot"),
         Swatch(colour=PATH, text="midway between the feet"),
     ]
-    return with_legend(draw_plan(plan, grid, model), _title(plan), legend)
+    return with_legend(draw_plan(plan, grid, model), _title(plan), legend + _heights(grid))
 
 
 def walk_picture(
@@ -91,7 +92,18 @@ def walk_picture(
         Swatch(colour=PLANNED, text="feet as planned", filled=False),
         Swatch(colour=BODY, text="body"),
     ]
-    return with_legend(canvas.image, _title(plan), legend)
+    return with_legend(canvas.image, _title(plan), legend + _heights(grid))
+
+
+def _heights(grid: OccupancyGrid) -> list[Swatch]:
+    """What the colours of the floor mean; nothing where it is flat."""
+    extremes_m = height_range(grid)
+    if extremes_m[0] == extremes_m[1]:
+        return []
+    return [
+        Swatch(colour=height_colour(height_m, extremes_m), text=f"floor at {height_m:g} m")
+        for height_m in extremes_m
+    ]
 
 
 def foot_boxes(poses_world: FloatArray, foot: FootShape) -> list[FloatArray]:

@@ -122,7 +122,7 @@ OFFICE = FloorPlan(
 )
 
 
-_STAIRS_BOUNDS = (-2.0, -2.5, 10.2, 2.5)
+_STAIRS_BOUNDS = (-2.0, -2.5, 10.0, 2.5)
 STAIRS = FloorPlan(
     name="stairs",
     bounds=_STAIRS_BOUNDS,

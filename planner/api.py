@@ -169,6 +169,9 @@ class Planner:
             expansions=result.expansions,
             time_to_first_s=result.time_to_first_s,
         )
+        if result.status is PlanStatus.NO_PATH and not self._terrain.is_flat:
+            low_m, high_m = self.model.limits.z_m
+            return replace(plan, reason=f"{plan.reason}; steps go from {low_m:g} to {high_m:g} m")
         if result.status is not PlanStatus.FOUND:
             return plan
         return replace(

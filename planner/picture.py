@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from maps.grid import Cell, OccupancyGrid
 from planner.model import Side, StepModel
 from planner.plan import FootstepPlan, feet_at, pair_pose
+from planner.relief import height_range, shade_floor
 
 Image = NDArray[np.uint8]
 FloatArray = NDArray[np.float64]
@@ -66,6 +67,9 @@ class Canvas:
         self.image: Image = np.asarray(
             cv2.resize(colours[cells], (width, height), interpolation=how), np.uint8
         )
+        if grid.elevation_m is not None:
+            heights = grid.elevation_m[first[1] : last[1], first[0] : last[0]][::-1]
+            shade_floor(self.image, heights, cells == Cell.FREE, height_range(grid))
         self._lines_every_metre(cells, extent)
 
     def _lines_every_metre(self, cells: NDArray[np.uint8], extent: FloatArray) -> None:

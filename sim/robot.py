@@ -17,7 +17,8 @@ Collision geoms are in group 3, visual ones in group 2 (no contacts).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -56,6 +57,33 @@ class LegJoint:
     armature_kg_m2: float
     half_sitting_rad: float
     mirror_sign: int
+
+
+# Joint, kp, kd, torque limit, speed limit, armature, half-sitting in degrees, mirror sign.
+LegRow = tuple[str, float, float, float, float, float, float, int]
+
+
+def both_legs(
+    leg: Iterable[LegRow], *, named: str, sides: tuple[str, str] = ("left", "right")
+) -> tuple[LegJoint, ...]:
+    """The joints of both legs from a table of one, from the hip down.
+
+    `named` makes the name of a joint of the model from `{side}` and `{joint}`.
+    """
+    return tuple(
+        LegJoint(
+            name=named.format(side=side, joint=joint),
+            kp=kp,
+            kd=kd,
+            torque_limit_nm=torque,
+            speed_limit_rad_s=speed,
+            armature_kg_m2=armature,
+            half_sitting_rad=math.radians(angle_deg),
+            mirror_sign=sign,
+        )
+        for side in sides
+        for joint, kp, kd, torque, speed, armature, angle_deg, sign in leg
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,7 @@ from shapely import affinity
 
 from planner.lattice import build_step_table
 from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from tests.height_oracle import HeightOracle
 
 Node = tuple[int, int, int, int]  # col, row, heading, side
 
@@ -54,6 +55,7 @@ class Oracle:
         shapely.prepare(self._blocked)
         self._floor = shapely.box(0, 0, *grid.size_m)
         self._origin = grid.origin
+        self._heights = None if grid.elevation_m is None else HeightOracle(grid, model)
         self._free: dict = {}
         self._edges: dict = {}
 
@@ -86,15 +88,24 @@ class Oracle:
             foot, body = self.model.foot, self.model.body
             inward = (node[3] - 0.5) * self.model.stance_width_m
             bx, by = x - inward * math.sin(yaw), y + inward * math.cos(yaw)
-            self._free[node] = self.box_is_free(
-                x, y, yaw, foot.length_m, foot.width_m, self.model.foot_margin_m
-            ) and self.box_is_free(
-                bx, by, yaw, body.length_m, body.width_m, self.model.body_margin_m
+            self._free[node] = (
+                self.box_is_free(x, y, yaw, foot.length_m, foot.width_m, self.model.foot_margin_m)
+                and self.box_is_free(
+                    bx, by, yaw, body.length_m, body.width_m, self.model.body_margin_m
+                )
+                and (self._heights is None or self._heights.under(x, y, yaw) is not None)
             )
         return self._free[node]
 
-    def step_is_free(self, support, swing) -> bool:
-        """Whether the body is free at the pair pose of two foot poses x, y, yaw."""
+    def step_is_free(self, support, swing, side) -> bool:
+        """Whether the body is free at the pair pose of two foot poses x, y, yaw, and the step too.
+
+        side: that of the swing foot.
+        """
+        if self._heights is not None:
+            heights = self._heights.under(*support), self._heights.under(*swing)
+            if not self._heights.can_step(support, heights[0], swing, heights[1], side):
+                return False
         turn = math.remainder(swing[2] - support[2], 2 * math.pi)
         body = self.model.body
         return self.box_is_free(
@@ -125,7 +136,7 @@ class Oracle:
                     int((heading + self.table.d_heading[at]) % self.model.headings),
                     1 - side,
                 )
-                if self.node_is_free(to) and self.step_is_free(here, self.pose(to)):
+                if self.node_is_free(to) and self.step_is_free(here, self.pose(to), 1 - side):
                     found.append((self.cost(here, self.pose(to)), to))
             self._edges[node] = found
         return self._edges[node]
@@ -161,7 +172,7 @@ class Oracle:
                         strict=True,
                     )
                 )
-                if inside and self.node_is_free(node) and self.step_is_free(support, there):
+                if inside and self.node_is_free(node) and self.step_is_free(support, there, side):
                     yield self.cost(support, there), node
 
     def best_cost(self, start) -> float:

@@ -89,7 +89,7 @@ def test_a_picture_shows_the_robot_and_both_steps(pictures):
 
 def test_the_last_picture_of_an_episode_shows_how_it_ended(pictures):
     standing, fallen, again = pictures[:3].astype(int)
-    assert np.array_equal(standing, again)
+    assert np.abs(standing - again).max() <= 2  # software GL may round a pixel otherwise
     assert (np.abs(standing - fallen).max(axis=2) > 40).sum() > 1000
 
 

@@ -323,3 +323,13 @@ def test_a_way_far_dearer_than_the_heuristic_thinks_is_still_searched_in_order()
     assert len(plan) < 100
     assert plan.cost_m < 50
     assert violations(plan, grid, model) == []
+
+
+def test_a_planner_kept_gives_the_plans_of_a_fresh_one():
+    grid, model = walled(30, 40, ((0, 18, 20, 20),)), small_model()
+    planner = Planner(grid, model)
+    for goal in ((3, 1, 0), (3, 1, 0), (1, 2.5, 2), (3, 1, 0)):
+        kept = planner.plan(start=(1, 1, 0), goal=goal)
+        fresh = plan_footsteps(grid, model, start=(1, 1, 0), goal=goal)
+        np.testing.assert_array_equal(kept.pose_world, fresh.pose_world)
+        assert kept.expansions == fresh.expansions

@@ -11,26 +11,11 @@ degrees in the step set, and 7 at the corners of the step limits.
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
-
 from planner.model import BodyShape, FootShape, StepLimits, StepModel
-from sim.menagerie import EXTRA, PACKAGE, add_menagerie_meshes, load
-from sim.robot import (
-    LEFT_LEG_BITS,
-    RIGHT_LEG_BITS,
-    UPPER_BODY_BITS,
-    GaitTiming,
-    LegJoint,
-    Robot,
-)
-from sim.solids import Box, Rod, Solid, add_shape
+from sim.menagerie import EXTRA, PACKAGE, MenagerieModel, Shapes
+from sim.robot import GaitTiming, Robot, both_legs
+from sim.solids import Box, Rod
 
-if TYPE_CHECKING:
-    import mujoco
-
-MODEL = "unitree_h1/h1.xml"
-RENAMED = {"left_hip_yaw_link": "left_leg", "right_hip_yaw_link": "right_leg"}
 FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.22, 0.08, 0.02
 SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.055, 0.07
 
@@ -45,7 +30,7 @@ _LEG = (
 # At 0 the forearms point forward.
 ARM_POSE_RAD = {"left_elbow": 1.1, "right_elbow": 1.1}
 
-_LEG_SHAPES: dict[str, dict[str, Solid]] = {
+_LEG_SHAPES: Shapes = {
     "hip_pitch_link": {
         "thigh": Rod(ends=((0.02, 0, -0.02), (0.01, 0, -0.37)), radius=0.055, is_round=True)
     },
@@ -59,7 +44,7 @@ _LEG_SHAPES: dict[str, dict[str, Solid]] = {
         )
     },
 }
-_ARM_SHAPES: dict[str, dict[str, Solid]] = {
+_ARM_SHAPES: Shapes = {
     "shoulder_yaw_link": {
         "upper_arm": Rod(ends=((0, 0, 0.13), (0.01, 0, -0.20)), radius=0.05, is_round=True)
     },
@@ -67,7 +52,7 @@ _ARM_SHAPES: dict[str, dict[str, Solid]] = {
         "forearm": Rod(ends=((0, 0, -0.01), (0.28, 0, -0.01)), radius=0.042, is_round=True)
     },
 }
-_BODY_SHAPES: dict[str, dict[str, Solid]] = {
+_BODY_SHAPES: Shapes = {
     "pelvis": {
         "hips": Rod(ends=((-0.02, -0.07, -0.12), (-0.02, 0.07, -0.12)), radius=0.09, is_round=True)
     },
@@ -88,50 +73,19 @@ STEPS = (
 )
 
 
-def _joints() -> tuple[LegJoint, ...]:
-    return tuple(
-        LegJoint(
-            name=f"{side}_{name}",
-            kp=kp,
-            kd=kd,
-            torque_limit_nm=torque,
-            speed_limit_rad_s=speed,
-            armature_kg_m2=armature,
-            half_sitting_rad=math.radians(angle_deg),
-            mirror_sign=sign,
-        )
-        for side in ("left", "right")
-        for name, kp, kd, torque, speed, armature, angle_deg, sign in _LEG
-    )
-
-
-def build() -> mujoco.MjSpec:
-    """The model: bodies and joints from Menagerie, collision shapes of our own."""
-    spec = load(
-        MODEL,
-        renamed=RENAMED,
-        joints=[joint.name for joint in _joints()],
-        held_rad=ARM_POSE_RAD,
-    )
-    for side, bits in (("left", LEFT_LEG_BITS), ("right", RIGHT_LEG_BITS)):
-        for table, of in ((_LEG_SHAPES, bits), (_ARM_SHAPES, UPPER_BODY_BITS)):
-            for body, shapes in table.items():
-                for name, shape in shapes.items():
-                    add_shape(spec.body(f"{side}_{body}"), f"{side}_{name}", shape, of)
-        foot = spec.body(f"{side}_ankle_link")
-        foot.add_site(name=f"{side}_sole", pos=[SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M])
-    for body, shapes in _BODY_SHAPES.items():
-        for name, shape in shapes.items():
-            add_shape(spec.body(body), name, shape, UPPER_BODY_BITS)
-    spec.body("torso_link").add_site(name="head", pos=[0.03, 0, 0.66])
-    return spec
-
-
-def add_meshes(spec: mujoco.MjSpec) -> None:
-    """Dresses the model in its meshes."""
-    colours = {"black": (0.16, 0.17, 0.19, 1.0), "white": (0.92, 0.92, 0.93, 1.0)}
-    add_menagerie_meshes(spec, MODEL, renamed=RENAMED, colours=colours)
-
+MODEL = MenagerieModel(
+    file="unitree_h1/h1.xml",
+    renamed={"left_hip_yaw_link": "left_leg", "right_hip_yaw_link": "right_leg"},
+    joints=both_legs(_LEG, named="{side}_{joint}"),
+    held_rad=ARM_POSE_RAD,
+    leg_shapes=_LEG_SHAPES,
+    arm_shapes=_ARM_SHAPES,
+    body_shapes=_BODY_SHAPES,
+    foot="ankle_link",
+    sole_m=(SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M),
+    head=("torso_link", (0.03, 0, 0.66)),
+    colours={"black": (0.16, 0.17, 0.19, 1.0), "white": (0.92, 0.92, 0.93, 1.0)},
+)
 
 ROBOT = Robot(
     name="h1",
@@ -151,14 +105,14 @@ ROBOT = Robot(
         body_margin_m=0.08,
     ),
     gait=GaitTiming(single_support_s=0.5, double_support_s=0.2),
-    joints=_joints(),
+    joints=MODEL.joints,
     mass_kg=51.44,
     height_m=1.80,
     pelvis_height_m=0.9863,
     pelvis_pitch_rad=0.0,
     fallen_height_m=0.75,
-    build=build,
+    build=MODEL.build,
     needs=(PACKAGE, EXTRA),
-    add_meshes=add_meshes,
+    add_meshes=MODEL.add_meshes,
     training_limits=StepLimits(x_m=(-0.20, 0.32), y_m=(0.31, 0.47), yaw_rad=(-0.17, 0.33)),
 )

@@ -25,8 +25,8 @@ from sim.robot import (
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
     GaitTiming,
-    LegJoint,
     Robot,
+    both_legs,
 )
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ _LEG = (
     ("ANKLE_R", 80, 8, 300, 15.18435, 0.0653, 0, -1),
     ("ANKLE_P", 80, 8, 250, 14.18435, 0.1337, -24, 1),
 )
+JOINTS = both_legs(_LEG, named="{side}_{joint}", sides=("L", "R"))
 
 # Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
 STEPS = (
@@ -63,23 +64,6 @@ STEPS = (
     *((x, 0.22, 0.15) for x in (0.0, 0.10, 0.25)),
     *((x, 0.20, -0.15) for x in (0.0, 0.10, 0.20)),
 )
-
-
-def _joints() -> tuple[LegJoint, ...]:
-    return tuple(
-        LegJoint(
-            name=f"{side}_{name}",
-            kp=kp,
-            kd=kd,
-            torque_limit_nm=torque,
-            speed_limit_rad_s=speed,
-            armature_kg_m2=armature,
-            half_sitting_rad=math.radians(angle_deg),
-            mirror_sign=sign,
-        )
-        for side in "LR"
-        for name, kp, kd, torque, speed, armature, angle_deg, sign in _LEG
-    )
 
 
 def _urdf_without_meshes() -> str:
@@ -175,7 +159,7 @@ def build() -> mujoco.MjSpec:
     pelvis.add_freejoint(name="root")
     for equality in list(spec.equalities):  # the fingers' mimic constraints
         spec.delete(equality)
-    legs = {joint.name for joint in _joints()}
+    legs = {joint.name for joint in JOINTS}
     for joint in list(spec.joints):
         if joint.name in legs or joint.type == mujoco.mjtJoint.mjJNT_FREE:
             continue
@@ -233,7 +217,7 @@ ROBOT = Robot(
         body_margin_m=0.11,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
-    joints=_joints(),
+    joints=JOINTS,
     mass_kg=62.4,
     height_m=1.71,
     pelvis_height_m=0.8086,
