@@ -20,6 +20,6 @@ def blocked_at(*boxes: tuple[int, int, int, int]) -> OccupancyGrid:
     return FLOOR.with_cells(cells)
 
 
-def walked() -> FootstepPlan:
+def small_plan() -> FootstepPlan:
     """A plan over the empty floor, turning."""
     return plan_footsteps(FLOOR, small_model(), start=(1.0, 1.0, 0.2), goal=(2.5, 1.8, 1.0))

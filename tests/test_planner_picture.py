@@ -14,13 +14,13 @@ from planner.api import plan_footsteps
 from planner.model import Side
 from planner.picture import LEFT, RIGHT, Canvas, body_path, draw_plan, write_picture
 from planner.plan import PlanStatus
-from tests.planner_floor import FLOOR, walked
+from tests.planner_floor import FLOOR, small_plan
 from tests.planner_oracle import small_model
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return walked()
+    return small_plan()
 
 
 def test_a_picture_shows_feet_where_they_are(plan):

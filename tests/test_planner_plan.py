@@ -12,13 +12,13 @@ import pytest
 from planner.api import plan_footsteps
 from planner.model import Side
 from planner.plan import FootstepPlan, feet_at, pair_pose, relative_step, wrap_angle
-from tests.planner_floor import FLOOR, walked
+from tests.planner_floor import FLOOR, small_plan
 from tests.planner_oracle import small_model
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return walked()
+    return small_plan()
 
 
 def test_feet_stand_left_and_right_of_their_pose():

@@ -7,13 +7,13 @@ import pytest
 
 from planner.plan import FootstepPlan, PlanStatus
 from planner.verify import violations
-from tests.planner_floor import FLOOR, blocked_at, walked
+from tests.planner_floor import FLOOR, blocked_at, small_plan
 from tests.planner_oracle import small_model
 
 
 @pytest.fixture(scope="module")
 def plan():
-    return walked()
+    return small_plan()
 
 
 def spoiled(plan, **changes):
