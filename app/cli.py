@@ -59,6 +59,8 @@ def _dispatch(arguments: list[str]) -> int:
         return ExitCode.DONE
     if name not in COMMANDS:
         raise InputError(f"there is no command {name!r}; the commands are {', '.join(COMMANDS)}")
+    if f"{name} {' '.join(rest[:1])}" in COMMANDS:
+        name, rest = f"{name} {rest[0]}", rest[1:]
     command = COMMANDS[name]
 
     # Here and not above: reading options costs an import that the overview does without.

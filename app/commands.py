@@ -44,6 +44,18 @@ def _load(place: str) -> Any:
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
+        "dataset": Command(
+            summary="plan footsteps to many random goals: a corpus to train on",
+            options="app.dataset_options:DatasetOptions",
+            run="app.dataset:run",
+            example="dataset --count 1000 --out runs/corpus",
+        ),
+        "dataset check": Command(
+            summary="check every step of a corpus by independent geometry",
+            options="app.dataset_options:DatasetCheckOptions",
+            run="app.dataset_check:run",
+            example="dataset check runs/corpus",
+        ),
         "evaluate": Command(
             summary="measure falls and foot errors of a policy, mode by mode",
             options="app.evaluate_options:EvaluateOptions",

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
+import tyro
 from tyro.constructors import PrimitiveConstructorSpec
 
 
@@ -19,6 +20,29 @@ class Pose(NamedTuple):
     x_m: float
     y_m: float
     yaw_rad: float
+
+
+class Interval(NamedTuple):
+    """A closed interval of numbers."""
+
+    low: float
+    high: float
+
+
+def parse_interval(text: str) -> Interval:
+    """The interval written as `LOW,HIGH`.
+
+    Raises:
+        ValueError: Not two finite numbers with a comma between them, the lower one first.
+    """
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != 2 or not all(map(math.isfinite, values)) or values[0] > values[1]:
+        raise ValueError(f"{text!r} is not a range; write LOW,HIGH, such as -1,1")
+    return Interval(*values)
 
 
 def parse_pose(text: str) -> Pose:
@@ -99,7 +123,7 @@ def _show(value: object) -> list[str]:
     """A value as the help shows it and as it would be typed."""
     if value is None:
         return ["none"]
-    if isinstance(value, Pose):
+    if isinstance(value, (Pose, Interval)):
         return [",".join(f"{part:g}" for part in value)]
     return [str(value)]
 
@@ -116,9 +140,13 @@ def _spec(metavar: str, read: Callable[[list[str]], Any]) -> PrimitiveConstructo
 
 PoseOption = Annotated[Pose, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
 OptionalPose = Annotated[Pose | None, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
+OptionalInterval = Annotated[
+    Interval | None, _spec("LOW,HIGH", lambda words: parse_interval(words[0]))
+]
 OptionalLength = Annotated[float | None, number(above=0)]
 OptionalTime = Annotated[float | None, number(above=0)]
 FileOption = Annotated[Path, _spec("FILE", lambda words: Path(words[0]))]
 OptionalFile = Annotated[Path | None, _spec("FILE", lambda words: Path(words[0]))]
 FolderOption = Annotated[Path, _spec("DIR", lambda words: Path(words[0]))]
+FolderArgument = Annotated[Path, _spec("DIR", lambda words: Path(words[0])), tyro.conf.Positional]
 OptionalFolder = Annotated[Path | None, _spec("DIR", lambda words: Path(words[0]))]

@@ -84,4 +84,6 @@ def _name(argument: Any) -> str:
 
 
 def _name_and_value(argument: Any) -> str:
+    if argument.is_positional():
+        return str(argument.lowered.metavar)
     return f"{_name(argument)} {argument.lowered.metavar or ''}".strip()

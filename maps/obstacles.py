@@ -1,9 +1,13 @@
-"""Blocked cells merged into few rectangles, so that a simulation needs few walls."""
+"""Boxes that stand on a map: into its cells, and blocked cells as few boxes for a simulation."""
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+
+from maps.grid import Cell, OccupancyGrid
 
 
 def merge_rectangles(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -53,3 +57,24 @@ def obstacle_boxes(blocked: NDArray[np.bool_], resolution_m: float) -> NDArray[n
     return np.stack(
         [(col0 + col1) / 2, (row0 + row1) / 2, (col1 - col0) / 2, (row1 - row0) / 2], axis=1
     )
+
+
+def with_boxes(grid: OccupancyGrid, boxes: NDArray[np.float64]) -> OccupancyGrid:
+    """The map with every cell occupied whose centre lies in a box.
+
+    boxes (k, 5): x_m, y_m of the centre in the world, length_m, width_m, yaw_rad.
+    """
+    cells = np.array(grid.cells)
+    for x_m, y_m, length_m, width_m, yaw_rad in boxes:
+        reach_m = math.hypot(length_m, width_m) / 2
+        col, row = grid.world_to_grid((x_m, y_m)) / grid.resolution_m
+        reach = reach_m / grid.resolution_m + 1
+        row0, row1 = (int(np.clip(v, 0, grid.shape[0])) for v in (row - reach, row + reach + 1))
+        col0, col1 = (int(np.clip(v, 0, grid.shape[1])) for v in (col - reach, col + reach + 1))
+        index = np.moveaxis(np.mgrid[row0:row1, col0:col1], 0, -1)
+        away = grid.cell_to_world(index) - (x_m, y_m)
+        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+        along = np.abs(away @ (cos, sin)) <= length_m / 2
+        across = np.abs(away @ (-sin, cos)) <= width_m / 2
+        cells[row0:row1, col0:col1][along & across] = Cell.OCCUPIED
+    return grid.with_cells(cells)

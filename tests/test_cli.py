@@ -253,7 +253,7 @@ def test_planning_loads_neither_torch_nor_mujoco():
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_loads_no_simulator(name):
-    done = run_program(name, "--help", python=("-X", "importtime"))
+    done = run_program(*name.split(), "--help", python=("-X", "importtime"))
     assert done.returncode == ExitCode.DONE
     assert "--robot" in done.stdout
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}

@@ -12,7 +12,16 @@ import pytest
 from app.cli import PROGRAM
 from app.commands import COMMANDS
 from app.errors import InputError
-from app.options import OptionalFile, Pose, PoseOption, choice, number, whole_number
+from app.options import (
+    FolderArgument,
+    OptionalFile,
+    OptionalInterval,
+    Pose,
+    PoseOption,
+    choice,
+    number,
+    whole_number,
+)
 from app.parsing import parse_options
 
 
@@ -43,6 +52,9 @@ class SampleOptions:
 
     json: bool = False
     """Print the document."""
+
+    width: OptionalInterval = None
+    """Range, such as -1,1."""
 
 
 def parse(*words: str) -> SampleOptions:
@@ -102,6 +114,36 @@ def test_a_malformed_pose_is_named_with_the_right_form(text):
     assert message.startswith("--goal: ")
     assert repr(text) in message
     assert "2,1,1.57" in message
+
+
+def test_a_range_may_begin_with_a_minus():
+    assert parse("--goal", "0,0,0", "--width", "-1,2.5").width == (-1.0, 2.5)
+    assert parse("--goal", "0,0,0", "--width=-2,-2").width == (-2.0, -2.0)
+
+
+@pytest.mark.parametrize("text", ["1", "1,0", "1,2,3", "a,b", "nan,1", "0,inf", ""])
+def test_a_malformed_range_is_named_with_the_right_form(text):
+    told = f"--width: {text!r} is not a range; write LOW,HIGH, such as -1,1"
+    assert refusal("--goal", "0,0,0", "--width", text) == told
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampleArgument:
+    """A command that takes a folder without naming it."""
+
+    folder: FolderArgument
+    """Folder, such as runs."""
+
+
+def test_an_argument_without_a_name():
+    def read(*words: str) -> SampleArgument:
+        return parse_options(SampleArgument, words, program="prog", example="")
+
+    assert read("runs/a").folder == Path("runs/a")
+    with pytest.raises(InputError, match=r"^DIR must be given; "):
+        read()
+    with pytest.raises(InputError, match=r"^'b' belongs to no option; "):
+        read("a", "b")
 
 
 @pytest.mark.parametrize(
@@ -168,7 +210,9 @@ def test_every_command_has_help_for_every_option(name, capsys):
     assert f"{PROGRAM} {command.example}" in text
     told = {entry.partition(" ")[0]: entry for entry in text.split(" --")}
     for field in dataclasses.fields(kind):
-        entry = told[field.name.replace("_", "-")]
+        # An argument without a name of its own stands above the options.
+        place = field.name.replace("_", "-")
+        entry = told[place] if place in told else text.partition("positional arguments")[2]
         assert "(default: " in entry or "(required)" in entry
         # A switch needs no example: its name is one.
         assert "such as" in entry or field.default is False, f"no example for --{entry}"
@@ -177,7 +221,7 @@ def test_every_command_has_help_for_every_option(name, capsys):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_example_is_one_that_the_command_takes(name):
     command = COMMANDS[name]
-    first, *words = command.example.split()
-    assert first == name
+    assert command.example.startswith(f"{name} ")
+    words = command.example.removeprefix(f"{name} ").split()
     parse_options(command.load_options(), words, program=name, example="")
     assert callable(command.load_run())

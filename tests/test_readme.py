@@ -29,7 +29,7 @@ def test_the_two_set_up_lines_stand_word_for_word():
 
 def test_every_command_is_told_of():
     section = README.partition("\n## Commands\n")[2].partition("\n## ")[0]
-    told = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    told = re.findall(r"^\| `([\w ]+)` \|", section, re.MULTILINE)
     assert sorted(told) == sorted(COMMANDS), "README's table and app/commands.py differ"
 
 
@@ -38,6 +38,8 @@ def test_every_command_line_is_one_that_is_taken():
     assert len(lines) >= 3
     for line in lines:
         name, *words = shlex.split(line)
+        if f"{name} {' '.join(words[:1])}" in COMMANDS:
+            name, words = f"{name} {words[0]}", words[1:]
         parse_options(COMMANDS[name].load_options(), words, program=name, example="")
 
 

@@ -1,0 +1,59 @@
+"""Work spread over processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from app.errors import InputError
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+def in_order(
+    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int
+) -> Iterator[Result]:
+    """The results in the order of the jobs, from so many processes; 0 takes all cores.
+
+    function and jobs travel to new processes, so both must be importable there. When the reader
+    stops early, by Ctrl-C or by an exception, the processes end at once.
+
+    Raises:
+        InputError: A process died, which is hardly ever for another reason than want of memory.
+    """
+    workers = min(workers or os.cpu_count() or 1, len(jobs))
+    if workers <= 1:
+        yield from map(function, jobs)
+        return
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts)
+    try:
+        yield from pool.map(function, jobs)
+    except BrokenProcessPool:
+        raise InputError(
+            "a process died, perhaps for want of memory: try fewer --workers"
+        ) from None
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _leave_interrupts() -> None:
+    """Leaves Ctrl-C to the process that started this one: it ends this one, without a traceback."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def portions(count: int, workers: int, most: int) -> list[range]:
+    """The numbers below count in runs of at most so many, several for every worker."""
+    size = max(1, min(most, count // (8 * (workers or os.cpu_count() or 1))))
+    return [range(first, min(first + size, count)) for first in range(0, count, size)]
