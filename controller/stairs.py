@@ -108,16 +108,23 @@ def _heights(rng: np.random.Generator, mode: str, places: int, rise_m: float) ->
 
 def _draw_shape(rng: np.random.Generator, model: StepModel, *, plain: bool, curved: bool) -> _Shape:
     """The shape of a flight; a `plain` one keeps every limit by itself."""
-    limits, length_m = model.limits, model.foot.length_m
+    limits, foot = model.limits, model.foot
+    length_m = foot.length_m
     low_m = max(RUN_M[0], length_m + 0.04)
     high_m = max(low_m, min(RUN_M[1], limits.x_m[1] - 0.01))
     run_m = min(rng.uniform(low_m, high_m), limits.x_m[1])
     width_m = rng.uniform(limits.y_m[0] + 0.01, limits.y_m[0] + 0.08)
     approach_m = rng.uniform(0.1, run_m)
-    slack_m = max(0.0, (run_m - length_m) / 2 - EDGE_MARGIN_M)
-    slack_m *= rng.uniform() if rng.uniform() < 0.5 else 0.0
+    slack_share = rng.uniform() if rng.uniform() < 0.5 else 0.0
     skew_rad = rng.uniform(-0.06, 0.06) if rng.uniform() < 0.5 else 0.0
     turn_rad = rng.choice([-1.0, 1.0]) * rng.uniform(0.03, 0.15) if curved else 0.0
+    # What is left between a foot and the edges; a turn takes from it at the outer corner of the
+    # foot, the more the wider the stance.
+    toe_m = (length_m * math.cos(skew_rad) + foot.width_m * abs(math.sin(skew_rad))) / 2
+    room_m = max(0.0, run_m / 2 - toe_m - EDGE_MARGIN_M)
+    reach_m = (width_m + foot.width_m) / 2
+    turn_rad = math.copysign(min(abs(turn_rad), room_m / reach_m), turn_rad)
+    slack_m = slack_share * (room_m - abs(turn_rad) * reach_m)
     if plain:
         width_m, slack_m, skew_rad, turn_rad = model.stance_width_m, 0.0, 0.0, 0.0
     return _Shape(
@@ -186,6 +193,9 @@ def _ground(rng: np.random.Generator, centres: np.ndarray, error_m: float) -> Gr
     floor_z = min(z[0], z[-1])
     errors = error_m * rng.uniform(-1, 1, len(centres))
     errors[:first] = 0.0
+    for k in range(first + 1, len(centres)):
+        if z[k] == z[k - 1]:  # level places overlap: they are one slab
+            errors[k] = errors[k - 1]
     treads = []
     for k in range(first, last):
         if abs(z[k] - floor_z) > 1e-9:
