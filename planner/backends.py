@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from planner.ara import Request, Result, plan_ara
-from planner.options import PlannerOptions
+from planner.options import SAMPLING_PLANNERS, PlannerOptions
 
 # Takes the request, the options and the time.perf_counter() of the request's arrival.
 Backend = Callable[[Request, PlannerOptions, float], Result]
@@ -13,4 +13,8 @@ Backend = Callable[[Request, PlannerOptions, float], Result]
 
 def backend(name: str) -> Backend:
     """The search of that name, one of `PLANNERS`. What a search loads is loaded here."""
+    if name in SAMPLING_PLANNERS:
+        from planner.sampling import plan_by_sampling
+
+        return plan_by_sampling
     return {"ara": plan_ara}[name]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-PLANNERS = ("ara",)
+# These plan by way of a path of the body, which OMPL finds.
+SAMPLING_PLANNERS = ("rrtconnect", "rrtstar", "informed-rrtstar", "bitstar", "prmstar", "fmt")
+PLANNERS = ("ara", *SAMPLING_PLANNERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +19,8 @@ class PlannerOptions:
     first plan in search of a better one; None goes on until final_epsilon is proven.
     max_expansions: the same for the whole search. Both repeat exactly. time_limit_s: a limit on the
     clock on top of them; results then depend on the machine. stop_at_first: be content with the
-    first plan. unknown_is_free: walk on cells that nobody has seen.
+    first plan. unknown_is_free: walk on cells that nobody has seen. seed: of the planners that
+    draw at random.
     """
 
     name: str = "ara"
@@ -28,6 +31,7 @@ class PlannerOptions:
     time_limit_s: float | None = None
     stop_at_first: bool = False
     unknown_is_free: bool = False
+    seed: int = 0
 
     def __post_init__(self) -> None:
         if self.name not in PLANNERS:
@@ -41,5 +45,7 @@ class PlannerOptions:
             raise ValueError(f"improve_expansions {self.improve_expansions} must be at least 0")
         if self.max_expansions < 1:
             raise ValueError(f"max_expansions {self.max_expansions} must be at least 1")
+        if self.seed < 0:
+            raise ValueError(f"seed {self.seed} must be at least 0")
         if self.time_limit_s is not None and not self.time_limit_s > 0:
             raise ValueError(f"time_limit_s {self.time_limit_s} must be above 0")
