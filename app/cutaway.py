@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.robot import GROUND_PREFIX
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -34,12 +36,17 @@ class Boxes:
 
 
 def fixed_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> Boxes:
-    """The box geoms of the model that are welded to the world; data holds their poses."""
+    """The box geoms of the model that are welded to the world; data holds their poses.
+
+    Not those that are ground: a robot stands on them, and glass would look like a hole.
+    """
     import mujoco
 
     is_box = model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)
     is_fixed = model.body_weldid[model.geom_bodyid] == 0
-    geom = np.flatnonzero(is_box & is_fixed)
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    is_ground = np.array([name.startswith(GROUND_PREFIX) for name in names])
+    geom = np.flatnonzero(is_box & is_fixed & ~is_ground)
     return Boxes(
         geom=geom,
         centre_m=np.array(data.geom_xpos[geom]),
@@ -62,13 +69,16 @@ def hides(boxes: Boxes, eye_m: FloatArray, points_m: FloatArray) -> NDArray[np.b
     return cut
 
 
-def points_to_see(place_m: FloatArray, eye_m: FloatArray) -> FloatArray:
-    """Points (m, 3) of a robot that stands at the place (2,), spread as the eye (3,) sees it."""
+def points_to_see(place_m: FloatArray, eye_m: FloatArray, ground_m: float = 0.0) -> FloatArray:
+    """Points (m, 3) of a robot that stands at the place (2,), spread as the eye (3,) sees it.
+
+    ground_m: the height of the ground there.
+    """
     towards = place_m - eye_m[:2]
     sideways = np.array([-towards[1], towards[0]]) / max(1e-9, float(np.hypot(*towards)))
     return np.array(
         [
-            [*(place_m + offset_m * sideways), height_m]
+            [*(place_m + offset_m * sideways), ground_m + height_m]
             for height_m in _SEEN_HEIGHTS_M
             for offset_m in _SEEN_OFFSETS_M
         ]

@@ -157,7 +157,11 @@ def _draw(
 ) -> None:
     """Replay, film and picture strips of the walk, where they were asked for."""
     qpos = np.array(navigator.qpos)
-    recording = Recording(qpos=qpos, time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S)
+    recording = Recording(
+        qpos=qpos,
+        time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S,
+        ground_m=grid.height_m(qpos[:, :2]),
+    )
     if options.html is not None:
         from app.page.replay import Story, write_replay
 

@@ -15,11 +15,13 @@ from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
-from maps.obstacles import obstacle_boxes
+from maps.terraces import terraces_of
 from planner.api import Planner
+from planner.footing import Footing
 from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, pair_pose, wrap_angle
+from sim.ground import MapGround
 from sim.robot import Robot
 from sim.scene import Scene, Walls, build_scene
 
@@ -34,6 +36,7 @@ class NavigatorConfig:
 
     replan_error_m: float = 0.06
     replan_error_rad: float = 0.20
+    replan_error_z_m: float = 0.03
     max_replans: int = 20
     wait_s: float = 0.5
     settle_s: float = 1.0
@@ -48,6 +51,7 @@ class NavigatorConfig:
 class Placed:
     """One step as it was asked for and as the foot came to rest: poses x, y, z, yaw (4,).
 
+    z is the height of the ground on which the foot stands.
     `time_s` is when the step's period ended, in simulated time since the start of the walk.
     """
 
@@ -102,9 +106,10 @@ class Navigator:
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
         self.walker = Walker(self.scene, threads=1)
+        self._footing = Footing(grid, robot.step_model, unknown_is_free)
         self._planner = planner or Planner(grid, robot.step_model, self.config.planner)
-        qpos = self.scene.qpos_at(np.array(self.start))
-        self._start_feet = self.scene.soles_at(qpos)
+        qpos = self.scene.qpos_at(np.array(self.start), self._footing.stand_m(self.start))
+        self._start_feet = self._footing.at_rest(self.scene.soles_at(qpos))
         noise = np.random.default_rng(seed).uniform(-1, 1, len(robot.joints))
         qpos[self.scene.joint_qpos] += self.config.joint_noise_rad * noise
         self.walker.place(0, qpos)
@@ -174,7 +179,8 @@ class Navigator:
         """Note where a foot came to rest; plan again when it is too far from its step."""
         self.placed.append(placed)
         config = self.config
-        near = placed.error_m <= config.replan_error_m
+        off_z_m = abs(float(placed.placed_world[2] - placed.asked_world[2]))
+        near = placed.error_m <= config.replan_error_m and off_z_m <= config.replan_error_z_m
         if (near and placed.error_rad <= config.replan_error_rad) or self._out_of_replans():
             return
         if self.walker.cursor.arrived[0]:
@@ -239,10 +245,8 @@ class Navigator:
         self._deadline_s = self.time_s + config.wait_s + walk_s + config.spare_time_s
 
     def _feet(self) -> np.ndarray:
-        """Both soles (2, 4) as they are, on the ground's height 0."""
-        feet = self.walker.soles_world()[0]
-        feet[:, 2] = 0.0
-        return feet
+        """Both soles (2, 4) as they are, at the height of the ground that they rest on."""
+        return self._footing.at_rest(self.walker.soles_world()[0])
 
     def _out_of_replans(self) -> bool:
         return self.replans >= self.config.max_replans
@@ -255,6 +259,19 @@ def scene_of(
     grid: OccupancyGrid, robot: Robot, unknown_is_free: bool, *, visuals: bool = False
 ) -> Scene:
     """The robot among the map's obstacles, at the physics rate of navigation."""
-    boxes = obstacle_boxes(grid.blocked(unknown_is_free), grid.resolution_m)
-    walls = Walls(boxes_m=boxes, origin=grid.origin)
-    return build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S, walls=walls, visuals=visuals)
+    terraces = terraces_of(grid, grid.blocked(unknown_is_free))
+    lowest_m = terraces.lowest_m
+    return build_scene(
+        robot,
+        timestep_s=PHYSICS_TIMESTEP_S,
+        walls=Walls(
+            boxes_m=terraces.walls[:, :4],
+            feet_m=terraces.walls[:, 4],
+            lowest_m=lowest_m,
+            origin=grid.origin,
+        ),
+        ground=None
+        if grid.elevation_m is None
+        else MapGround(boxes_m=terraces.ground, lowest_m=lowest_m, origin=grid.origin),
+        visuals=visuals,
+    )

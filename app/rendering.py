@@ -23,12 +23,18 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """A walk as it happened: qpos (T, nq) of the model at the times time_s (T,), in order."""
+    """A walk as it happened: qpos (T, nq) of the model at the times time_s (T,), in order.
+
+    ground_m (T,): height of the ground below the robot, 0 unless given.
+    """
 
     qpos: FloatArray
     time_s: FloatArray
+    ground_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        if self.ground_m is not None and self.ground_m.shape != self.time_s.shape:
+            raise ValueError(f"ground_m {self.ground_m.shape} must be as time_s")
         if self.qpos.ndim != 2 or self.time_s.shape != self.qpos.shape[:1]:
             raise ValueError(
                 f"qpos {self.qpos.shape} must be (T, nq) with T as in time_s {self.time_s.shape}"
@@ -80,11 +86,11 @@ def camera_path(recording: Recording, view: View) -> CameraPath:
     """
     w, x, y, z = recording.qpos[:, 3:7].T
     yaw_rad = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    place_m = np.column_stack([recording.qpos[:, :2], yaw_rad])
+    ground_m = np.zeros(len(yaw_rad)) if recording.ground_m is None else recording.ground_m
+    place_m = np.column_stack([recording.qpos[:, :2], yaw_rad, ground_m])
     smooth = _smooth(place_m, recording.time_s, view.smooth_s)
-    height_m = np.full(len(smooth), view.height_m)
     return CameraPath(
-        lookat_m=np.column_stack([smooth[:, :2], height_m]),
+        lookat_m=np.column_stack([smooth[:, :2], smooth[:, 3] + view.height_m]),
         azimuth_deg=np.degrees(smooth[:, 2]) + view.azimuth_deg,
     )
 
@@ -135,15 +141,18 @@ class Drawer:
         mujoco.mj_camlight(self._renderer.model, self._data)
         self._camera.lookat[:] = self._path.lookat_m[index]
         self._camera.azimuth = self._path.azimuth_deg[index]
-        self._make_glass()
+        self._make_glass(index)
         self._renderer.update_scene(self._data, self._camera, self._shown)
         return np.array(self._renderer.render())
 
-    def _make_glass(self) -> None:
+    def _make_glass(self, index: int) -> None:
         """Makes the walls that hide the robot from the camera see-through, the others as were."""
         camera = self._camera
         eye_m = eye_position(camera.lookat, camera.distance, camera.azimuth, camera.elevation)
-        points_m = points_to_see(np.array(self._data.qpos[:2]), eye_m)
+        ground_m = self._recording.ground_m
+        points_m = points_to_see(
+            np.array(self._data.qpos[:2]), eye_m, 0.0 if ground_m is None else ground_m[index]
+        )
         hidden_by = hides(self._walls, eye_m, points_m)
         self._renderer.model.geom_rgba[self._walls.geom, 3] = np.where(
             hidden_by, np.minimum(GLASS_ALPHA, self._alpha), self._alpha

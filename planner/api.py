@@ -13,7 +13,7 @@ from maps.grid import OccupancyGrid
 from planner.ara import Request, Result, build_heuristic
 from planner.backends import backend
 from planner.collision import terrain_of
-from planner.endpoints import suggestion, what_blocks
+from planner.endpoints import suggestion, what_blocks, what_obstructs
 from planner.ground import heights_below, resting_heights
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
@@ -140,7 +140,7 @@ class Planner:
     def _stands_too_near(self, query: _Query) -> bool:
         """Whether the robot stands where the margins would not let it be: it must get away."""
         feet = query.start_feet_world
-        return query.stands and bool(what_blocks(self.grid, self._terrain, self.model, feet))
+        return query.stands and bool(what_obstructs(self.grid, self._terrain, self.model, feet))
 
     def _is_there(self, query: _Query) -> bool:
         off = query.start_feet_world - feet_at(query.goal, self.model.stance_width_m)

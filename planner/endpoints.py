@@ -21,7 +21,21 @@ _ROUNDING_M = 5e-7  # heights are whole micrometres
 def what_blocks(
     grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray, margins: bool = True
 ) -> str:
-    """Names the foot or body that cannot be at feet (2, 4), and where; empty if all is free."""
+    """Names the foot or body that cannot be at feet (2, 4), and where; empty if all is free.
+
+    With margins the robot is about to stand there, so the ground must be level too. Without, it
+    stands there already, wherever that is.
+    """
+    blocked = what_obstructs(grid, terrain, model, feet, margins)
+    if blocked or not margins or terrain.is_flat:
+        return blocked
+    return _what_is_uneven(grid, terrain, model, feet)
+
+
+def what_obstructs(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray, margins: bool = True
+) -> str:
+    """As `what_blocks`, but for obstacles only."""
     foot_margin_m = model.foot_margin_m if margins else 0.0
     body_margin_m = model.body_margin_m if margins else 0.0
     for side in Side:
@@ -31,13 +45,13 @@ def what_blocks(
     pose = pair_pose(feet)
     if not _free(grid, terrain, pose, model.body, body_margin_m):
         return _sentence(grid, "the body", pose[0], pose[1])
-    return _what_is_uneven(grid, terrain, model, feet) if margins else ""
+    return ""
 
 
 def _what_is_uneven(
     grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray
 ) -> str:
-    """Says where the ground under feet (2, 4) is not level, or too high under one of them."""
+    """Says under which foot of (2, 4) the ground is not level, or higher than under the other."""
     heights = heights_below(grid, terrain, model, feet)
     for side in Side:
         low_m, high_m = heights[side]
@@ -48,12 +62,9 @@ def _what_is_uneven(
                 f"level: it rises by {high_m - low_m:.2f} m"
             )
     rise_m = abs(float(heights[0, 1] - heights[1, 1]))
-    if rise_m > min(-model.limits.z_m[0], model.limits.z_m[1]) + _ROUNDING_M:
+    if rise_m > min(-model.limits.z_m[0], model.limits.z_m[1], model.level_m) + _ROUNDING_M:
         higher = Side.LEFT if heights[0, 1] > heights[1, 1] else Side.RIGHT
-        return (
-            f"the {higher.name.lower()} foot would stand {rise_m:.2f} m higher than the other, "
-            f"and steps go from {model.limits.z_m[0]:g} to {model.limits.z_m[1]:g} m"
-        )
+        return f"the {higher.name.lower()} foot would stand {rise_m:.2f} m higher than the other"
     return ""
 
 

@@ -40,6 +40,9 @@ UPPER_BODY_BITS = (0, 1)
 LEFT_LEG_BITS = (2, 1 | 4)
 RIGHT_LEG_BITS = (4, 1 | 2)
 
+# Geoms of the ground of a map that is not flat have names that begin like this.
+GROUND_PREFIX = "ground_"
+
 
 @dataclass(frozen=True, kw_only=True)
 class LegJoint:

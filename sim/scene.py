@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from sim.ground import MapGround, add_ground
 from sim.robot import SURROUNDINGS_BITS, Robot
 from sim.sensors import SIDES, Sensors, add_sensors
 from sim.treads import add_treads
@@ -21,10 +22,14 @@ class Walls:
     """Upright boxes on the floor, from a map.
 
     `boxes_m` is (n, 4): centre x, centre y, half length x, half length y in the map's own
-    frame; `origin` is that frame's pose x_m, y_m, yaw_rad in the world.
+    frame; `origin` is that frame's pose x_m, y_m, yaw_rad in the world. `feet_m` (n,) is the
+    height of the floor at each, above which it rises `WALL_HEIGHT_M`; all reach down to
+    `lowest_m`. None for a floor at 0.
     """
 
     boxes_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    feet_m: np.ndarray | None = None
+    lowest_m: float = 0.0
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -45,14 +50,18 @@ class Scene:
     standing_qpos: np.ndarray
     has_treads: bool = False
 
-    def qpos_at(self, pose: np.ndarray) -> np.ndarray:
-        """Half-sitting qpos (nq,) whose soles' midpoint is at the pose x_m, y_m, yaw_rad."""
+    def qpos_at(self, pose: np.ndarray, ground_m: float = 0.0) -> np.ndarray:
+        """Half-sitting qpos (nq,) whose soles' midpoint is at the pose x_m, y_m, yaw_rad.
+
+        The soles are at the height of the ground there.
+        """
         qpos = self.standing_qpos.copy()
         x, y, yaw = pose
         cos, sin = math.cos(yaw), math.sin(yaw)
         offset_x, offset_y = self.standing_qpos[:2]
         qpos[0] = x + cos * offset_x - sin * offset_y
         qpos[1] = y + sin * offset_x + cos * offset_y
+        qpos[2] += ground_m
         turn = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
         mujoco.mju_mulQuat(qpos[3:7], turn, self.standing_qpos[3:7])
         return qpos
@@ -71,6 +80,7 @@ def build_scene(
     *,
     timestep_s: float,
     walls: Walls | None = None,
+    ground: MapGround | None = None,
     visuals: bool = False,
     treads: bool = False,
 ) -> Scene:
@@ -78,7 +88,7 @@ def build_scene(
 
     With `visuals` the model also gets sky, light, floor pattern and the robot's meshes, if it
     has any; they change nothing in the physics. With `treads` the floor can be moved and there are
-    treads to be placed, per simulation (`sim.treads`).
+    treads to be placed, per simulation (`sim.treads`). `ground` is that of a map that is not flat.
     """
     spec = robot.build()
     spec.modelname = robot.name
@@ -89,6 +99,8 @@ def build_scene(
         add_treads(spec)
     else:
         _add_floor(spec)
+    if ground is not None:
+        add_ground(spec, ground)
     _add_walls(spec, walls or Walls())
     add_sensors(spec, robot)
     if visuals:
@@ -158,11 +170,13 @@ def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
         name="walls", pos=[x, y, 0], quat=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
     )
     contype, conaffinity = SURROUNDINGS_BITS
-    for centre_x, centre_y, half_x, half_y in walls.boxes_m:
+    feet_m = np.zeros(len(walls.boxes_m)) if walls.feet_m is None else walls.feet_m
+    for (centre_x, centre_y, half_x, half_y), foot in zip(walls.boxes_m, feet_m, strict=True):
+        half_z = (foot - walls.lowest_m + WALL_HEIGHT_M) / 2
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[centre_x, centre_y, WALL_HEIGHT_M / 2],
-            size=[half_x, half_y, WALL_HEIGHT_M / 2],
+            pos=[centre_x, centre_y, walls.lowest_m + half_z],
+            size=[half_x, half_y, half_z],
             contype=contype,
             conaffinity=conaffinity,
             rgba=WALL_RGBA,

@@ -238,7 +238,7 @@ def test_planning_goes_on_from_feet_measured_on_the_stairs():
         ((1.2, 1.2, 0.0), "goal: the ground under the left foot at 1.20,1.35 is not level: it"),
         (
             (1.1, 1.2, math.pi / 2),
-            "goal: the right foot would stand 0.20 m higher than the other, and steps go from",
+            "goal: the right foot would stand 0.20 m higher than the other; the nearest",
         ),
     ],
 )
@@ -349,11 +349,14 @@ def test_the_picture_shades_the_floor_by_its_height():
     assert shade(-1.15) == shades[0]
 
 
-def test_feet_at_a_pose_stay_on_the_ground_that_their_side_stands_on():
+def test_feet_may_stand_at_two_heights_where_the_robot_has_got_to_but_not_at_a_goal():
     grid = floor((0, 0, 12, 24, 0.1))
-    plan = plan_footsteps(grid, CLIMBER, start=(0.7, 1.2, 0.0), goal=(1.7, 1.2, 0.0))
+    feet = feet_at((0.7, 1.2, 0.0), 0.2)
+    feet[Side.RIGHT, 2] = 0.1
+    plan = plan_footsteps(grid, CLIMBER, start_feet_world=feet, goal=(1.7, 1.6, 0.0))
     assert plan.found
     assert plan.start_feet_world[:, 2].tolist() == [0.0, 0.1]
-    last = dict(zip(plan.side[-2:].tolist(), plan.pose_world[-2:, 2], strict=True))
-    assert last == {Side.LEFT: 0.0, Side.RIGHT: 0.1}
-    assert feet_at((0.7, 1.2, 0.0), 0.2)[:, 2].tolist() == [0.0, 0.0]
+    assert violations(plan, grid, CLIMBER, stood_freely=False) == []
+    across = plan_footsteps(grid, CLIMBER, start_feet_world=feet, goal=(1.7, 1.2, 0.0))
+    assert across.status is PlanStatus.GOAL_BLOCKED
+    assert "the right foot would stand 0.10 m higher than the other" in across.reason

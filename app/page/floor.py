@@ -9,18 +9,20 @@ import trimesh
 import viser
 
 from maps.grid import Cell, OccupancyGrid
-from maps.obstacles import obstacle_boxes
+from maps.terraces import plates_of, terraces_of
 from sim.scene import WALL_HEIGHT_M
 
 FLOOR_RGB = (205, 208, 212)
 LINE_RGB = (178, 182, 188)
 WALL_RGB = (150, 134, 114)
 UNKNOWN_RGB = (150, 153, 158)
+HIGHEST_RGB = (214, 190, 152)
 _FLOOR_THICKNESS_M = 0.02
 # So deep that the colour does not shine through the floor far from the camera.
 _SLAB_DEPTH_M = 0.3
 _UNKNOWN_HEIGHT_M = 0.02
 _LINES_HEIGHT_M = 0.001
+_SHADES = 24
 _FIELD_OF_VIEW_RAD = math.radians(50)
 
 
@@ -36,6 +38,8 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     width_m, height_m = grid.size_m
     scene.add_frame("/map", show_axes=False, position=(x_m, y_m, 0.0), wxyz=turned(yaw_rad))
     centre = (width_m / 2, height_m / 2)
+    terraces = terraces_of(grid, grid.cells == Cell.OCCUPIED)
+    lowest_m = terraces.lowest_m
     for name, depth_m in (("floor", _FLOOR_THICKNESS_M / 2), ("slab", _SLAB_DEPTH_M)):
         # Nobody sees the slab past the floor's edge from where nothing but the floor hides it.
         inset_m = 0.0 if name == "floor" else min(_SLAB_DEPTH_M, width_m / 4, height_m / 4)
@@ -43,7 +47,7 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
             f"/map/{name}",
             color=FLOOR_RGB,
             dimensions=(width_m - 2 * inset_m, height_m - 2 * inset_m, _FLOOR_THICKNESS_M),
-            position=(*centre, -depth_m),
+            position=(*centre, lowest_m - depth_m),
             cast_shadow=False,
         )
     scene.add_grid(
@@ -56,30 +60,48 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
         section_color=LINE_RGB,
         cell_thickness=0.6,
         section_thickness=1.0,
-        position=(*centre, _LINES_HEIGHT_M),
+        position=(*centre, lowest_m + _LINES_HEIGHT_M),
         shadow_opacity=0.0,
     )
-    _add_boxes(scene, "/map/walls", grid, Cell.OCCUPIED, WALL_HEIGHT_M, WALL_RGB)
-    _add_boxes(scene, "/map/unknown", grid, Cell.UNKNOWN, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB)
+    unknown = plates_of(grid, grid.cells == Cell.UNKNOWN)
+    _add_boxes(scene, "/map/walls", terraces.walls, lowest_m, WALL_HEIGHT_M, WALL_RGB)
+    _add_boxes(scene, "/map/unknown", unknown, lowest_m, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB)
+    _add_ground(scene, terraces.ground, lowest_m)
     return slab
+
+
+def _add_ground(scene: viser.SceneApi, boxes: np.ndarray, lowest_m: float) -> None:
+    """The floor that is higher than the lowest, the higher the browner."""
+    rise_m = boxes[:, 4] - lowest_m
+    shades = np.ceil(_SHADES * rise_m / max(rise_m, default=1.0)).astype(int)
+    for shade in range(1, _SHADES + 1):
+        red, green, blue = (
+            round(low + (high - low) * shade / _SHADES)
+            for low, high in zip(FLOOR_RGB, HIGHEST_RGB, strict=True)
+        )
+        name = f"/map/ground/{shade}"
+        _add_boxes(scene, name, boxes[shades == shade], lowest_m, 0.0, (red, green, blue))
 
 
 def _add_boxes(
     scene: viser.SceneApi,
     name: str,
-    grid: OccupancyGrid,
-    kind: Cell,
+    boxes: np.ndarray,
+    lowest_m: float,
     height_m: float,
     rgb: tuple[int, int, int],
 ) -> None:
-    """All cells of one kind as one mesh; the node stays away where there are none."""
-    boxes = obstacle_boxes(grid.cells == kind, grid.resolution_m)
+    """Boxes (n, 5) of `maps.terraces` that rise so much above their height, as one mesh.
+
+    The node stays away where there are none.
+    """
     if len(boxes) == 0:
         scene.remove_by_name(name)
         return
     box = trimesh.creation.box(extents=(1, 1, 1))
-    sizes = np.column_stack([2 * boxes[:, 2:], np.full(len(boxes), height_m)])
-    centres = np.column_stack([boxes[:, :2], np.full(len(boxes), height_m / 2)])
+    tops_m = boxes[:, 4] + height_m
+    sizes = np.column_stack([2 * boxes[:, 2:4], tops_m - lowest_m])
+    centres = np.column_stack([boxes[:, :2], (tops_m + lowest_m) / 2])
     vertices = (box.vertices * sizes[:, None] + centres[:, None]).reshape(-1, 3)
     faces = (box.faces + len(box.vertices) * np.arange(len(boxes))[:, None, None]).reshape(-1, 3)
     scene.add_mesh_simple(

@@ -52,8 +52,8 @@ class Page:
         self._drawing = threading.Lock()
         scene, grid = server.scene, session.grid
         aim_camera(server.initial_camera, grid, beside_panel=True)
-        self._goal = Marker(scene, "/goal")
-        self._wished = Marker(scene, "/wished", _PALE_RGB)
+        self._goal = Marker(scene, grid, "/goal")
+        self._wished = Marker(scene, grid, "/wished", _PALE_RGB)
         self._toybox = Toybox(
             scene,
             grid,
@@ -61,9 +61,9 @@ class Page:
             is_refused=self._why_no_box,
             on_refused=self._say,
         )
-        self._pointer = FloorPointer(self._pointed)
+        self._pointer = FloorPointer(self._pointed, grid)
         self._pointer.watch(add_floor(scene, grid))
-        self._prints = Prints(scene, robot.step_model.foot)
+        self._prints = Prints(scene, grid, robot.step_model.foot)
         self._figure = Figure(scene, look_of(robot))
         actions = Actions(
             go=self._go,
@@ -170,6 +170,6 @@ class Page:
             self._figure.remove()
             self._prints.clear()
             self._session.set_robot(robot, policy)
-            self._prints = Prints(self._server.scene, robot.step_model.foot)
+            self._prints = Prints(self._server.scene, self._session.grid, robot.step_model.foot)
             self._figure = Figure(self._server.scene, look)
             self._shown = None

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import viser
 
+from maps.grid import OccupancyGrid
 from planner.plan import Pose
 
 # A drag shorter than this does not say where to look.
@@ -37,11 +38,13 @@ class FloorPointer:
     """Turns clicks and drags on the floor into poses.
 
     `on_pose(pointed, is_final)` is called also while a drag goes on; a click leaves the heading
-    open. With the tool LOOK a drag on the floor turns the camera.
+    open. With the tool LOOK a drag on the floor turns the camera. The grid says how high the floor
+    is.
     """
 
-    def __init__(self, on_pose: Callable[[Pointed, bool], None]) -> None:
+    def __init__(self, on_pose: Callable[[Pointed, bool], None], grid: OccupancyGrid) -> None:
         self._on_pose = on_pose
+        self._grid = grid
         self._floor: viser.BoxHandle | None = None
         self._tool = Tool.GOAL
         self._drags = False
@@ -66,28 +69,51 @@ class FloorPointer:
 
     # Coroutines are awaited one after the other; functions could overtake one another.
     async def _clicked(self, event: viser.SceneNodePointerEvent) -> None:
-        point = on_floor(event.ray_origin, event.ray_direction)
+        point = on_ground(self._grid, event.ray_origin, event.ray_direction)
         if point is not None and self._tool is not Tool.LOOK:
             self._on_pose(Pointed(*point), True)
 
     async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
         eye = np.asarray(event.client.camera.position)
-        point = on_floor(eye, np.asarray(event.end_position) - eye)
+        point = on_ground(self._grid, eye, np.asarray(event.end_position) - eye)
         if point is None:
             return
-        grabbed = on_floor(eye, np.asarray(event.start_position) - eye)
+        grabbed = on_ground(self._grid, eye, np.asarray(event.start_position) - eye)
         if grabbed is not None and event.phase != "start":
             self._on_pose(toward(grabbed, point), event.phase == "end")
 
 
 def on_floor(
-    origin: Sequence[float] | np.ndarray, direction: Sequence[float] | np.ndarray
+    origin: Sequence[float] | np.ndarray,
+    direction: Sequence[float] | np.ndarray,
+    height_m: float = 0.0,
 ) -> tuple[float, float] | None:
-    """Where a ray meets the ground z = 0; None if it never does."""
+    """Where a ray meets level ground of this height; None if it never does."""
     if direction[2] >= -1e-9:
         return None
-    along = -origin[2] / direction[2]
+    along = (height_m - origin[2]) / direction[2]
     return float(origin[0] + along * direction[0]), float(origin[1] + along * direction[1])
+
+
+def on_ground(
+    grid: OccupancyGrid,
+    origin: Sequence[float] | np.ndarray,
+    direction: Sequence[float] | np.ndarray,
+) -> tuple[float, float] | None:
+    """Where a ray from above meets the floor of a map first; None if it never does.
+
+    Where it meets the face of a step it is at the step's foot, to within a cell.
+    """
+    if grid.elevation_m is None:
+        return on_floor(origin, direction)
+    levels = np.unique(grid.elevation_m)[::-1]
+    for height_m in levels[:-1]:
+        point = on_floor(origin, direction, float(height_m))
+        if point is None:
+            return None
+        if grid.contains(point) and grid.height_m(point) >= height_m:
+            return point
+    return on_floor(origin, direction, float(levels[-1]))
 
 
 def toward(place: tuple[float, float], point: tuple[float, float]) -> Pointed:

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from app.page.floor import FLOOR_RGB, turned
+from maps.grid import OccupancyGrid
 from planner.model import FootShape, Side
 from planner.picture import GOAL, LEFT, RIGHT
 
@@ -20,6 +21,7 @@ PATH_WIDTH_M = 0.025
 # Above one another, so that no two fight for the same pixels.
 _PLANNED_Z_M, _PATH_Z_M, _PLACED_Z_M, _NEXT_Z_M = 0.005, 0.008, 0.011, 0.014
 _EDGE_M = 0.016
+_OUT_OF_SIGHT_M = -1.0
 # Rectangles that a mesh has room for at first.
 _ROOM = 128
 
@@ -27,8 +29,8 @@ _ROOM = 128
 class Prints:
     """Footprints on the floor: planned (pale), the next two (full), placed (their edges)."""
 
-    def __init__(self, scene: viser.SceneApi, foot: FootShape) -> None:
-        self._scene = scene
+    def __init__(self, scene: viser.SceneApi, grid: OccupancyGrid, foot: FootShape) -> None:
+        self._scene, self._grid = scene, grid
         self._sheets: dict[str, _Sheet] = {}
         self._plate = _rectangle(foot.length_m, foot.width_m)
         self._edge = _edge(foot)
@@ -62,7 +64,9 @@ class Prints:
         across *= PATH_WIDTH_M / 2
         begin, end = xy_world[:-1][moved], xy_world[1:][moved]
         corners = np.stack([begin + across, begin - across, end - across, end + across], axis=1)
-        self._sheet("/path", _PATH_Z_M, PATH_RGB).show(corners)
+        # Each piece lies on the higher floor of its ends, so that no step hides it.
+        ground_m = np.maximum(self._grid.height_m(begin), self._grid.height_m(end))
+        self._sheet("/path", _PATH_Z_M, PATH_RGB).show(corners, ground_m)
 
     def _show(
         self,
@@ -80,7 +84,8 @@ class Prints:
             turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], axis=1)
             corners = np.einsum("rki,nij->nrkj", shape, turn) + poses[:, None, None, :2]
             name = f"/steps/{kind}_{foot.name.lower()}"
-            self._sheet(name, height_m, _mixed(SIDE_RGB[foot], paleness)).show(corners)
+            ground_m = np.repeat(poses[:, 2], len(shape))
+            self._sheet(name, height_m, _mixed(SIDE_RGB[foot], paleness)).show(corners, ground_m)
 
     def _sheet(self, name: str, height_m: float, rgb: Rgb) -> _Sheet:
         if name not in self._sheets:
@@ -100,15 +105,19 @@ class _Sheet:
         self._room = 0
         self._mesh: viser.MeshHandle | None = None
 
-    def show(self, corners: np.ndarray) -> None:
-        """Shows rectangles with corners (..., 4, 2), counter-clockwise in the world."""
+    def show(self, corners: np.ndarray, ground_m: np.ndarray) -> None:
+        """Shows rectangles with corners (..., 4, 2), counter-clockwise in the world.
+
+        ground_m (n,): the height of the floor on which each of them lies.
+        """
         xy = corners.reshape(-1, 2)
         needed = len(xy) // 4
         if self._mesh is None or needed > self._room:
             self._mesh = self._with_room_for(needed)
         vertices = np.zeros((4 * self._room, 3), np.float32)
-        vertices[:, 2] = -1.0
-        vertices[: len(xy), :2], vertices[: len(xy), 2] = xy, self._height_m
+        vertices[:, 2] = _OUT_OF_SIGHT_M
+        vertices[: len(xy), :2] = xy
+        vertices[: len(xy), 2] = np.repeat(ground_m, 4) + self._height_m
         self._mesh.vertices = vertices
 
     def _with_room_for(self, count: int) -> viser.MeshHandle:
@@ -128,7 +137,10 @@ class _Sheet:
 class Marker:
     """An arrow on the floor that stands for a pose."""
 
-    def __init__(self, scene: viser.SceneApi, name: str, rgb: Rgb = GOAL_RGB) -> None:
+    def __init__(
+        self, scene: viser.SceneApi, grid: OccupancyGrid, name: str, rgb: Rgb = GOAL_RGB
+    ) -> None:
+        self._grid = grid
         self._arrow = scene.add_arrows(
             name,
             points=np.array([[[-0.05, 0, 0.0], [0.4, 0, 0.0]]], np.float32),
@@ -143,7 +155,8 @@ class Marker:
         """Puts it at the pose x_m, y_m, yaw_rad; None hides it."""
         self._arrow.visible = pose is not None
         if pose is not None:
-            self._arrow.position = (pose[0], pose[1], 0.04)
+            ground_m = float(self._grid.height_m(pose[:2]))
+            self._arrow.position = (pose[0], pose[1], ground_m + 0.04)
             self._arrow.wxyz = turned(pose[2])
 
 

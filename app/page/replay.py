@@ -47,8 +47,8 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
         # Before the recording begins: what comes later moves the camera while the walk plays.
         aim_camera(server.initial_camera, grid)
         add_floor(server.scene, grid)
-        Marker(server.scene, "/goal").show(story.goal)
-        prints = Prints(server.scene, robot.step_model.foot)
+        Marker(server.scene, grid, "/goal").show(story.goal)
+        prints = Prints(server.scene, grid, robot.step_model.foot)
         stage = _Stage(Figure(server.scene, look_of(robot)), prints)
         frames = frame_indices(story.recording)
         stage.show(story, 0)

@@ -12,6 +12,7 @@ from app.report import Outcome
 from controller.cursor import STANCE
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
+from planner.footing import Footing
 from planner.model import Side
 from planner.plan import FootstepPlan, feet_at, pair_pose
 
@@ -97,6 +98,7 @@ class Rover(Navigator):
             return
         support = ahead.feet_world[ahead.first_side.other]
         feet = _beside(support, ahead.first_side, self.robot.step_model.stance_width_m)
+        feet = self._footing.at_rest(feet)
         goal, start = pair_pose(feet), pair_pose(ahead.feet_world)
         plan = FootstepPlan(
             start_feet_world=ahead.feet_world,
@@ -121,6 +123,7 @@ class Rover(Navigator):
         walker.cursor, walker.action = before.cursor, before.action
         walker.sim.sensors[:] = before.sim.sensors
         self.grid, self.scene, self.walker = grid, scene, walker
+        self._footing = Footing(grid, self.robot.step_model, self.config.planner.unknown_is_free)
 
     def tick(self) -> None:
         """One control step, on the way to a goal or on the spot."""
@@ -145,7 +148,9 @@ class Rover(Navigator):
 
 def _beside(support: np.ndarray, side: Side, width_m: float) -> np.ndarray:
     """Both feet (2, 4) of a robot that stands with its other foot at the pose support (4,)."""
-    x_m, y_m, _, yaw_rad = support
+    x_m, y_m, z_m, yaw_rad = support
     half_m = side.outward * width_m / 2
     middle = (x_m - half_m * np.sin(yaw_rad), y_m + half_m * np.cos(yaw_rad), yaw_rad)
-    return feet_at(middle, width_m)
+    feet = feet_at(middle, width_m)
+    feet[:, 2] = z_m
+    return feet

@@ -84,7 +84,7 @@ class Toybox:
             f"/map/box_{number}",
             color=BOX_RGB,
             dimensions=(obstacle.size_x_m, obstacle.size_y_m, WALL_HEIGHT_M),
-            position=(obstacle.x_m, obstacle.y_m, WALL_HEIGHT_M / 2),
+            position=(obstacle.x_m, obstacle.y_m, self._middle_m(obstacle)),
         )
         self._drawn[number] = drawn
 
@@ -98,6 +98,11 @@ class Toybox:
 
         drawn.on_click(clicked)
         drawn.on_drag("left")(dragged)
+
+    def _middle_m(self, obstacle: Obstacle) -> float:
+        """Height of the middle of a box that stands on the floor."""
+        place = self._grid.grid_to_world((obstacle.x_m, obstacle.y_m))
+        return float(self._grid.height_m(place)) + WALL_HEIGHT_M / 2
 
     def _dragged(self, number: int, event: viser.SceneNodeDragEvent) -> None:
         """Follows the pointer; the box counts at its new place when it is let go."""
@@ -115,14 +120,14 @@ class Toybox:
         x_m, y_m = (float(value) for value in self._grid.world_to_grid(point) - self._grab)
         moved = snapped(before.moved_to(x_m, y_m), self._grid)
         if event.phase != "end":
-            drawn.position = (x_m, y_m, WALL_HEIGHT_M / 2)
+            drawn.position = (x_m, y_m, self._middle_m(before))
             return
         # At the map's edge a box keeps its size, so that it is the same when it comes back.
         moved = replace(moved, size_x_m=before.size_x_m, size_y_m=before.size_y_m)
         if why := self._is_refused(moved):
             self._on_refused(why)
             moved = before
-        drawn.position = (moved.x_m, moved.y_m, WALL_HEIGHT_M / 2)
+        drawn.position = (moved.x_m, moved.y_m, self._middle_m(moved))
         if moved is not before:
             self._obstacles[number] = moved
             self._changed()

@@ -1,0 +1,90 @@
+"""The floor and the walls of a map as boxes with a height each, for a simulation and a page."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from maps.grid import OccupancyGrid
+from maps.obstacles import obstacle_boxes
+
+FloatArray = NDArray[np.float64]
+
+# Heights that differ by less make one box.
+_LEVEL_M = 0.001
+# A wall rises from the highest floor this near to it, so that nobody walks over it.
+_BESIDE_WALL_M = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Terraces:
+    """Boxes (n, 5): centre x, centre y, half extent x, half extent y, height, in the grid frame.
+
+    ground: floor that is higher than lowest_m, solid from there up to its height. walls: blocked
+    cells, with the height of the floor that they rise from. lowest_m: the floor everywhere else.
+    """
+
+    ground: FloatArray
+    walls: FloatArray
+    lowest_m: float = 0.0
+
+
+def terraces_of(grid: OccupancyGrid, blocked: NDArray[np.bool_]) -> Terraces:
+    """Floor and walls of a map whose cells (H, W) are blocked or not."""
+    if grid.elevation_m is None:
+        flat = obstacle_boxes(blocked, grid.resolution_m)
+        walls = np.column_stack([flat, np.zeros(len(flat))])
+        return Terraces(ground=np.zeros((0, 5)), walls=walls)
+    heights_m = _levels(grid.elevation_m)
+    lowest_m = float(heights_m[~blocked].min()) if not blocked.all() else 0.0
+    feet_m = _feet_of_walls(heights_m, blocked, lowest_m, grid.resolution_m)
+    return Terraces(
+        ground=_boxes(~blocked & (heights_m > lowest_m), heights_m, grid.resolution_m),
+        walls=_boxes(blocked, feet_m, grid.resolution_m),
+        lowest_m=lowest_m,
+    )
+
+
+def plates_of(grid: OccupancyGrid, cells: NDArray[np.bool_]) -> FloatArray:
+    """Boxes (n, 5), as in `Terraces`, that tile the chosen cells (H, W) at their own heights."""
+    heights_m = np.zeros(grid.shape) if grid.elevation_m is None else _levels(grid.elevation_m)
+    return _boxes(cells, heights_m, grid.resolution_m)
+
+
+def _levels(heights_m: FloatArray) -> FloatArray:
+    levels: FloatArray = np.round(np.round(heights_m / _LEVEL_M) * _LEVEL_M, 6)
+    return levels
+
+
+def _feet_of_walls(
+    heights_m: FloatArray, blocked: NDArray[np.bool_], lowest_m: float, resolution_m: float
+) -> FloatArray:
+    """Heights (H, W) from which walls rise: their own in the map, or of higher floor beside."""
+    side = 2 * math.ceil(_BESIDE_WALL_M / resolution_m) + 1
+    floor_m = np.where(blocked, lowest_m, heights_m)
+    beside_m = cv2.dilate(floor_m, np.ones((side, side), np.uint8))
+    feet_m: FloatArray = np.maximum(np.maximum(heights_m, lowest_m), beside_m)
+    return feet_m
+
+
+def _boxes(cells: NDArray[np.bool_], heights_m: FloatArray, resolution_m: float) -> FloatArray:
+    """Boxes (n, 5) that tile the chosen cells (H, W), each over cells of one height."""
+    found = [np.zeros((0, 5))]
+    row, col = np.nonzero(cells)
+    order = np.argsort(heights_m[row, col], kind="stable")
+    row, col = row[order], col[order]
+    levels, starts = np.unique(heights_m[row, col], return_index=True)
+    ends = np.append(starts, len(row))[1:]
+    for height_m, start, end in zip(levels, starts, ends, strict=True):
+        rows, cols = row[start:end], col[start:end]
+        row0, col0 = rows.min(), cols.min()
+        window = np.zeros((np.ptp(rows) + 1, np.ptp(cols) + 1), bool)
+        window[rows - row0, cols - col0] = True
+        boxes = obstacle_boxes(window, resolution_m)
+        boxes[:, :2] += np.array([col0, row0]) * resolution_m
+        found.append(np.column_stack([boxes, np.full(len(boxes), height_m)]))
+    return np.concatenate(found)
