@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -12,32 +13,40 @@ from app.inputs import find_robot
 from app.output import make_folder, write_text
 from app.progress import ProgressBar, say
 from app.train_options import TrainOptions
+from controller.checkpoint import TrainingError
 from controller.curriculum import PRESETS as CURRICULA
 from controller.curriculum import Curriculum
-from controller.env import TaskConfig
 from controller.planned import PlannedSteps
 from controller.reward import PRESETS
-from controller.train import Report, TrainConfig, Trainer, TrainingError
+from controller.tally import Report
+from controller.task_config import TaskConfig
+from controller.train import Trainer
+from controller.train_config import TrainConfig
 from planner.corpus import Corpus, CorpusError
 from sim.robot import Robot
 
-HIGHEST_RISE_M = 0.20
+# A robot that may not step so high climbs no stairs.
+LEAST_RISE_M = 0.02
+OWN_CORPUS = "corpus"
+CORPUS_PLANS, CORPUS_SEED = 1000, 0
+# Checkpoint, the one that replaces it, policy, corpus and log take a tenth of this.
+LEAST_FREE_BYTES = 100_000_000
 
 
 def run(options: TrainOptions) -> int:
     """Carries the command out; returns the exit code."""
     robot = find_robot(options.robot)
-    planned = _planned(options, robot)
+    curriculum = chosen_curriculum(options, robot)
+    check_folder(options.out, resume=options.resume)
+    planned = read_corpus(options, robot)
     config = TrainConfig(
         robot=robot.name,
         samples=options.samples,
         seed=options.seed,
-        corpus="" if planned is None else planned.digest,
-        curriculum=_curriculum(options),
+        corpus=planned.digest,
+        curriculum=curriculum,
         task=TaskConfig(reward=dict(PRESETS[options.reward])),
     )
-    make_folder(options.out, option="--out")
-    _check_folder(options.out, resume=options.resume)
     trainer = Trainer(
         robot,
         config,
@@ -52,18 +61,86 @@ def run(options: TrainOptions) -> int:
         say(f"going on after segment {trainer.segment} of {config.segments}")
     write_text(options.out / "config.json", json.dumps(asdict(config), indent=1) + "\n")
     total = config.segments * config.samples_per_segment
-    with ProgressBar("training", total, line_every_s=0.0) as bar:
+    with ProgressBar("training", total, line_every_s=0.0) as bar, as_bad_input(TrainingError):
         trainer.run(lambda report: bar.update(report.samples, progress_line(report)))
     say(f"the best policy is {options.out / robot.name}.safetensors")
     return ExitCode.DONE
 
 
-def _planned(options: TrainOptions, robot: Robot) -> PlannedSteps | None:
-    if options.corpus is None:
-        return None
+def chosen_curriculum(options: TrainOptions, robot: Robot) -> Curriculum:
+    """The preset, with the highest rise that was asked for, or else the robot's.
+
+    Raises:
+        InputError: the robot cannot climb so high, or stairs are asked for and not wanted.
+    """
+    preset, highest_m = CURRICULA[options.curriculum], robot.training_model.limits.z_m[1]
+    can_climb = highest_m >= LEAST_RISE_M
+    if options.rise is None:
+        top_m = min(preset.top_rise_m, highest_m)
+        return replace(preset, top_rise_m=top_m if can_climb else 0.0)
+    if options.curriculum == "flat":
+        raise InputError(f"--rise: {options.rise:g} m of rise and --curriculum flat: drop one")
+    if not can_climb:
+        raise InputError(
+            f"--rise: {robot.title} has no stairs in its step limits (z_m in "
+            f"sim/robots/{robot.name}.py); leave --rise away to train it on flat ground"
+        )
+    if not LEAST_RISE_M <= options.rise <= highest_m:
+        raise InputError(
+            f"--rise: {options.rise:g} m is not from {LEAST_RISE_M:g} to {highest_m:g} m, what "
+            f"{robot.title}'s step limits to train on allow"
+        )
+    return replace(preset, top_rise_m=options.rise)
+
+
+def check_folder(out: Path, *, resume: bool) -> None:
+    """Makes the folder of a new run, or finds that of an old one, with room to write.
+
+    Raises:
+        InputError: there is a run where none should be, or none where one should; or no room.
+    """
+    began = (out / "checkpoint.pt").is_file()
+    if resume and not began:
+        raise InputError(f"--resume: {out} holds no checkpoint.pt to resume from")
+    if began and not resume:
+        raise InputError(f"--out: {out} holds a run already; add --resume or name another folder")
+    make_folder(out, option="--out")
+    free = shutil.disk_usage(out).free
+    if free < LEAST_FREE_BYTES:
+        raise InputError(
+            f"--out: too little disk: {free / 1e6:.0f} MB are free in {out}, "
+            f"a run needs {LEAST_FREE_BYTES / 1e6:.0f} MB"
+        )
+
+
+def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
+    """The plans to train on; a new run without a corpus makes its own first.
+
+    Raises:
+        InputError: there is no corpus, or it is not for this robot.
+    """
+    folder = options.corpus or options.out / OWN_CORPUS
+    if options.corpus is None and not options.resume:
+        # Here and not above: it brings the planner along, which training does without.
+        from app import dataset
+        from app.dataset_options import DatasetOptions
+
+        dataset.run(
+            DatasetOptions(
+                out=folder,
+                count=CORPUS_PLANS,
+                seed=CORPUS_SEED,
+                robot=robot.name,
+                workers=options.workers,
+            )
+        )
+    elif options.corpus is None and not folder.is_dir():
+        raise InputError(
+            f"--corpus: the run in {options.out} has no {OWN_CORPUS} of its own: "
+            "name the one that it began with"
+        )
     with as_bad_input(CorpusError):
-        corpus = Corpus.load(options.corpus)
-        return PlannedSteps.of(corpus, robot.name, robot.training_model)
+        return PlannedSteps.of(Corpus.load(folder), robot.name, robot.training_model)
 
 
 def progress_line(report: Report) -> str:
@@ -88,21 +165,8 @@ def command_line(options: TrainOptions) -> str:
     """The command that makes the same policy, for the policy's own record."""
     return (
         f"python main.py train --robot {options.robot} --samples {options.samples} "
-        f"--seed {options.seed} --reward {options.reward} --curriculum {options.curriculum} "
-        f"--rise {options.rise:g} --out DIR"
+        f"--seed {options.seed} --reward {options.reward} --curriculum {options.curriculum}"
+        + ("" if options.rise is None else f" --rise {options.rise:g}")
+        + ("" if options.corpus is None else " --corpus CORPUS")
+        + " --out DIR"
     )
-
-
-def _curriculum(options: TrainOptions) -> Curriculum:
-    """The preset, with the highest rise where it has stairs."""
-    preset = CURRICULA[options.curriculum]
-    if options.curriculum == "flat":
-        return preset
-    if options.rise > HIGHEST_RISE_M:
-        raise InputError(f"--rise: {options.rise:g} m is more than {HIGHEST_RISE_M:g} m")
-    return replace(preset, top_rise_m=options.rise)
-
-
-def _check_folder(out: Path, *, resume: bool) -> None:
-    if not resume and (out / "checkpoint.pt").exists():
-        raise InputError(f"--out: {out} holds a run already; add --resume or name another folder")

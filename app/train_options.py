@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.inputs import RobotName
-from app.options import FolderOption, OptionalFolder, choice, number, whole_number
+from app.options import FolderOption, OptionalFolder, OptionalLength, choice, whole_number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -14,7 +14,9 @@ class TrainOptions:
     """Train the step follower from nothing, with PPO in many simulations at once.
 
     The folder gets a checkpoint after every segment, a TensorBoard log, and the best policy so
-    far. A run that was stopped, however it was, goes on with --resume to the same result.
+    far. A run that was stopped, however it was, goes on with --resume to the same result. Some
+    episodes walk plans of the planner: without --corpus the folder gets a corpus of its own, made
+    as `dataset --count 1000 --seed 0` makes it.
     """
 
     out: FolderOption
@@ -35,11 +37,11 @@ class TrainOptions:
     curriculum: Annotated[str, choice("measured", "paper", "flat")] = "measured"
     """When stairs come: with success, on the paper's schedule, or never, such as measured."""
 
-    rise: Annotated[float, number(above=0.0)] = 0.15
-    """Highest rise of the stairs to train on in metres, such as 0.15."""
+    rise: OptionalLength = None
+    """Highest rise of the stairs to train on in metres, such as 0.15; none: all the robot can."""
 
     corpus: OptionalFolder = None
-    """Corpus of `dataset` to train on as well, such as runs/corpus."""
+    """Corpus of `dataset` to train on, such as runs/corpus; none: makes one in DIR/corpus."""
 
     workers: Annotated[int, whole_number(at_least=0)] = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from controller.curriculum import Stage
-from controller.env import TaskConfig, WalkTask
+from controller.env import WalkTask
 from controller.policy import Policy
 from controller.robustness import Robustness
 from controller.stairs import STAIR_MODES
+from controller.task_config import TaskConfig
 from sim.robot import Robot
 
 # A foot that lands farther than this from its step, in space, has left the plan.

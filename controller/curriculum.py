@@ -7,6 +7,7 @@ present one succeed.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -25,7 +26,11 @@ class Curriculum:
     With `measured` the stairs come when at least `flat_success` of the held-out flat episodes
     succeed, and each time that at least `stairs_success` of those on stairs do, the rise grows by
     `rise_step_m`. Otherwise they come after `flat_updates` updates of the learner, and the rise
-    grows linearly over the next `growth_updates`. The disturbances grow with the rise.
+    grows linearly over the next `growth_updates`. The disturbances grow with the rise; where there
+    are no stairs (`top_rise_m` 0) they come all at once, or grow over those updates.
+
+    Raises:
+        ValueError: a length, share or count that no run can have.
     """
 
     measured: bool = True
@@ -35,6 +40,20 @@ class Curriculum:
     stairs_success: float = 0.9
     flat_updates: int = 3000
     growth_updates: int = 8000
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.top_rise_m) and self.top_rise_m >= 0):
+            raise ValueError(f"top_rise_m {self.top_rise_m} must be a finite number of 0 or more")
+        if not self.rise_step_m > 0:
+            raise ValueError(f"rise_step_m {self.rise_step_m} must be above 0, or nothing grows")
+        for name in ("flat_success", "stairs_success"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} {getattr(self, name)} must be from 0 to 1")
+        if self.flat_updates < 0 or self.growth_updates < 1:
+            raise ValueError(
+                f"flat_updates {self.flat_updates} must be at least 0, "
+                f"growth_updates {self.growth_updates} at least 1"
+            )
 
     def first(self) -> Stage:
         """The stage that a run begins with."""
@@ -48,20 +67,19 @@ class Curriculum:
         `stairs_success` does not count in a stage without stairs.
         """
         if not self.measured:
-            share = (updates - self.flat_updates) / self.growth_updates
-            return self._at(self.top_rise_m * min(max(share, 0.0), 1.0))
+            share = min(max((updates - self.flat_updates) / self.growth_updates, 0.0), 1.0)
+            return Stage(rise_m=self.top_rise_m * share, hardness=share)
         if flat_success < self.flat_success:
             return stage
         if stage.rise_m > 0 and stairs_success < self.stairs_success:
             return stage
-        return self._at(min(stage.rise_m + self.rise_step_m, self.top_rise_m))
-
-    def _at(self, rise_m: float) -> Stage:
-        hardness = rise_m / self.top_rise_m if self.top_rise_m > 0 else 1.0
-        return Stage(rise_m=rise_m, hardness=hardness)
+        if self.top_rise_m == 0:
+            return Stage(hardness=1.0)
+        rise_m = min(stage.rise_m + self.rise_step_m, self.top_rise_m)
+        return Stage(rise_m=rise_m, hardness=rise_m / self.top_rise_m)
 
 
 MEASURED = Curriculum()
 PAPER = Curriculum(measured=False, top_rise_m=0.10)
-FLAT = Curriculum(measured=False, top_rise_m=0.0)
+FLAT = Curriculum(top_rise_m=0.0)
 PRESETS = {"measured": MEASURED, "paper": PAPER, "flat": FLAT}

@@ -13,7 +13,6 @@ import gymnasium
 import numpy as np
 
 from controller.curriculum import Stage
-from controller.env import TaskConfig
 from controller.gait import CONTROL_PERIOD_S
 from controller.gym_painter import Painter
 from controller.gym_task import (
@@ -25,6 +24,7 @@ from controller.gym_task import (
     refuse_options,
     within_space,
 )
+from controller.task_config import TaskConfig
 from sim.robots import robot_names
 
 VERSION = 0

@@ -10,7 +10,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from controller.curriculum import Stage
-from controller.env import TaskConfig, Transition
+from controller.env import Transition
 from controller.gym_env import WalkEnv
 from controller.gym_painter import Painter
 from controller.gym_task import (
@@ -22,6 +22,7 @@ from controller.gym_task import (
     refuse_options,
     within_space,
 )
+from controller.task_config import TaskConfig
 
 
 class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):

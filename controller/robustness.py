@@ -26,6 +26,9 @@ class Robustness:
     Joint speeds are off by `joint_speed_noise_per_s` (rad/s per rad of position noise). Friction,
     masses, centre of mass and gains belong to the simulation and are drawn once per segment of
     training. Tread errors apply in stair episodes, to a share `true_tread_share` not at all.
+
+    Raises:
+        ValueError: a range that is none, a share that is none, or latency beyond one step.
     """
 
     quiet_share: float = 0.4
@@ -43,6 +46,15 @@ class Robustness:
     mass_factor: Interval = (0.94, 1.06)
     pelvis_com_m: Interval = (-0.015, 0.015)
     gain_factor: Interval = (0.9, 1.1)
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, tuple):
+                _check_range(name, value)
+            elif not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{name} {value} must be a finite number of 0 or more")
+            elif name.endswith("_share") and value > 1:
+                raise ValueError(f"{name} {value} must be from 0 to 1")
 
     @classmethod
     def exactly(cls, *, joint_noise_deg: float = 0.0, tread_error_m: float = 0.0) -> Robustness:
@@ -67,6 +79,19 @@ class Robustness:
         """Whether any simulation's model is to differ from the robot's own."""
         ranges = (self.friction_factor, self.mass_factor, self.gain_factor)
         return any(r != (1.0, 1.0) for r in ranges) or self.pelvis_com_m != (0.0, 0.0)
+
+
+def _check_range(name: str, interval: Interval) -> None:
+    """Raises ValueError unless it is a range of values that the field can have."""
+    low, high = interval
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ValueError(f"{name}: ({low}, {high}) must be finite, low <= high")
+    if name.endswith("_factor") and low <= 0:
+        raise ValueError(f"{name}: ({low}, {high}) must be above 0")
+    if not name.endswith("_factor") and name != "pelvis_com_m" and low < 0:
+        raise ValueError(f"{name}: ({low}, {high}) must be 0 or more")
+    if name == "late_ticks" and high > 1:
+        raise ValueError(f"{name}: ({low}, {high}) must be at most 1 control step")
 
 
 class Disturbances:
@@ -100,6 +125,13 @@ class Disturbances:
         size_n = pushed * hardness * push_n_s / (PUSH_TICKS * period_s)
         self._push_n[row] = size_n * math.cos(angle), size_n * math.sin(angle), 0.0
         self._push_tick[row] = rng.integers(ticks)
+
+    def calm(self, row: int) -> None:
+        """Robot `row` walks an episode without any of it."""
+        for amplitude in (self.joint_noise_rad, self.tilt_noise_rad, self.late_ticks):
+            amplitude[row] = 0.0
+        self.angular_speed_noise_rad_s[row] = 0.0
+        self._push_n[row] = 0.0
 
     def draw_tread_error_m(self, rng: np.random.Generator, hardness: float) -> float:
         """By how much the treads of one stair episode may be off."""

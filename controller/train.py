@@ -7,12 +7,10 @@ uninterrupted one gives, whatever the number of physics threads.
 
 from __future__ import annotations
 
-import json
-import os
 import subprocess
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,113 +18,16 @@ import mujoco
 import numpy as np
 import torch
 
-from controller.assess import ModeResult, assess_mode
-from controller.curriculum import Curriculum, Stage
-from controller.env import TaskConfig, Transition, WalkTask
+from controller.assess import ModeResult
+from controller.checkpoint import Checkpoint, TrainingError, read_checkpoint, write_checkpoint
+from controller.env import WalkTask
+from controller.held_out import assess_stage, score
 from controller.planned import PlannedSteps
 from controller.policy import Policy, fitting, save_policy
-from controller.ppo import (
-    PpoConfig,
-    RslWalkEnv,
-    actor_layers,
-    make_ppo,
-    set_progress,
-)
+from controller.ppo import RslWalkEnv, actor_layers, make_ppo, set_progress
+from controller.tally import Report, Tally
+from controller.train_config import TrainConfig
 from sim.robot import Robot
-
-CHECKPOINT_FORMAT = "walk-training/2"
-ASSESS_SEED = 987_654_321
-# The held-out stair episodes with disturbances: what the follower is to withstand.
-ROUGH = {"tread_error_m": 0.03, "joint_noise_deg": 3.0}
-
-
-class TrainingError(ValueError):
-    """The training folder cannot be used as asked."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """A whole run. `samples` are control steps of single robots.
-
-    `corpus` is the digest of the planner's corpus that is trained on, empty for none.
-    """
-
-    robot: str = "jvrc1"
-    samples: int = 16_000_000
-    seed: int = 0
-    corpus: str = ""
-    updates_per_segment: int = 20
-    assess_episodes: int = 128
-    curriculum: Curriculum = field(default_factory=Curriculum)
-    task: TaskConfig = field(default_factory=TaskConfig)
-    ppo: PpoConfig = field(default_factory=PpoConfig)
-
-    @property
-    def samples_per_segment(self) -> int:
-        """Control steps between two checkpoints."""
-        return self.updates_per_segment * self.ppo.samples_per_update
-
-    @property
-    def segments(self) -> int:
-        """Segments of the whole run; the last one may go a little past `samples`."""
-        return -(-self.samples // self.samples_per_segment)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Report:
-    """What a segment gave; passed to the progress display."""
-
-    samples: int
-    samples_total: int
-    samples_per_s: float
-    seconds_left: float
-    reward: float
-    landing_error_m: float
-    falls_per_episode: float
-    result: ModeResult
-    stage: Stage
-    stairs: tuple[ModeResult, ...]
-    best: bool
-
-
-@dataclass
-class Tally:
-    """Counts over the transitions of a segment."""
-
-    reward: float = 0.0
-    steps: int = 0
-    ended: int = 0
-    fallen: int = 0
-    stairs_ended: int = 0
-    stairs_fallen: int = 0
-    failed: int = 0
-    errors: list[np.ndarray] = field(default_factory=list)
-    terms: dict[str, float] = field(default_factory=dict)
-
-    def add(self, step: Transition) -> None:
-        """Count one control step of all robots."""
-        self.reward += float(step.reward.mean())
-        self.steps += 1
-        self.ended += int((step.terminated | step.truncated).sum())
-        self.fallen += int(step.terminated.sum())
-        self.stairs_ended += int((step.stairs & (step.terminated | step.truncated)).sum())
-        self.stairs_fallen += int((step.stairs & step.terminated).sum())
-        self.failed += int(step.failed.sum())
-        self.errors.append(step.landing_error_m[step.landed])
-        for name, value in step.terms.items():
-            self.terms[name] = self.terms.get(name, 0.0) + value
-
-    def summary(self) -> dict[str, float]:
-        """Means over the segment."""
-        landings = np.concatenate(self.errors) if self.errors else np.zeros(0)
-        return {
-            "reward": self.reward / max(self.steps, 1),
-            "falls_per_episode": self.fallen / max(self.ended, 1),
-            "stairs_falls_per_episode": self.stairs_fallen / max(self.stairs_ended, 1),
-            "landing_error_m": float(np.median(landings)) if len(landings) else float("nan"),
-            "failed_simulations": float(self.failed),
-            **{f"term/{name}": value / self.steps for name, value in self.terms.items()},
-        }
 
 
 class Trainer:
@@ -162,20 +63,28 @@ class Trainer:
         self.best_score = (-np.inf, -np.inf)
         self.history: list[dict[str, Any]] = []
 
-    def run(self, progress: Callable[[Report], None]) -> Policy:
-        """Train to the end, from where the run stands; returns the best policy."""
+    def run(self, progress: Callable[[Report], None]) -> None:
+        """Train to the end, from where the run stands; the best policy is in the folder.
+
+        Raises:
+            TrainingError: the folder cannot be written, say because the disk is full.
+        """
         from torch.utils.tensorboard import SummaryWriter
 
-        best = self._policy()
-        with SummaryWriter(log_dir=str(self.out / "tensorboard")) as writer:
-            while self.segment < self.config.segments:
-                report = self._run_segment(writer)
-                self.save_checkpoint()
-                if report.best:
-                    best = self._policy()
-                    save_policy(best, self.out / f"{self.robot.name}.safetensors")
-                progress(report)
-        return best
+        try:
+            with SummaryWriter(log_dir=str(self.out / "tensorboard")) as writer:
+                while self.segment < self.config.segments:
+                    report = self._run_segment(writer)
+                    # Before the checkpoint: who resumes from it relies on the policy being there.
+                    if report.best:
+                        save_policy(self._policy(), self.out / f"{self.robot.name}.safetensors")
+                    self.save_checkpoint()
+                    progress(report)
+        except OSError as error:
+            raise TrainingError(
+                f"cannot write in {self.out}: {error.strerror or error}; "
+                "make room and go on with --resume"
+            ) from error
 
     def _run_segment(self, writer: Any) -> Report:
         config = self.config
@@ -193,31 +102,8 @@ class Trainer:
             losses = self.ppo.update()
         seconds = time.perf_counter() - started
         self.segment += 1
-        return self._note(writer, tally.summary(), losses, self._assess(), seconds)
-
-    def _assess(self) -> tuple[ModeResult, ...]:
-        """Held-out results at the present stage: flat, then stairs without and with disturbances.
-
-        The disturbances have the share that the stage gives those of training.
-        """
-        stage, policy = self.stage, self._policy()
-        cases: list[tuple[str | None, dict[str, float]]] = [(None, {})]
-        if stage.rise_m > 0:
-            rough = {name: stage.hardness * value for name, value in ROUGH.items()}
-            cases += [("stairs", {"rise_m": stage.rise_m, **extra}) for extra in ({}, rough)]
-        return tuple(
-            assess_mode(
-                self.robot,
-                policy,
-                mode,
-                episodes=-(-self.config.assess_episodes // len(cases)),
-                seed=ASSESS_SEED,
-                threads=self.threads,
-                config=self.config.task,
-                **settings,
-            )
-            for mode, settings in cases
-        )
+        results = assess_stage(self.robot, self._policy(), config, self.stage, threads=self.threads)
+        return self._note(writer, tally.summary(), losses, results, seconds)
 
     def _sample(self, observation: Any, tally: Tally) -> Any:
         """One rollout with the present policy; returns the observation after it."""
@@ -239,10 +125,7 @@ class Trainer:
         results: tuple[ModeResult, ...],
         seconds: float,
     ) -> Report:
-        """Log the segment, keep its line of history, and tell whether it is the best so far.
-
-        Of two policies the one that was assessed at the higher rise is better.
-        """
+        """Log the segment, keep its line of history, and tell whether it is the best so far."""
         config, stage, (flat, *stairs) = self.config, self.stage, results
         samples = self.segment * config.samples_per_segment
         assessed = flat.summary
@@ -256,9 +139,9 @@ class Trainer:
                 if not isinstance(number, str):
                     writer.add_scalar(f"{group}/{name}", number, samples)
         writer.flush()
-        score = (stage.rise_m, sum(_score(result) for result in results))
-        best = score > self.best_score
-        self.best_score = max(score, self.best_score)
+        now = score(stage, results)
+        best = now > self.best_score
+        self.best_score = max(now, self.best_score)
         line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}
         self.history.append({**line, "assess": assessed, "assess_stairs": assessed_stairs})
         self.stage = config.curriculum.after(
@@ -294,26 +177,25 @@ class Trainer:
                 "git_revision": self._revision,
                 "assessed": self.history[-1]["assess"] if self.history else None,
                 "assessed_stairs": self.history[-1]["assess_stairs"] if self.history else None,
-                "rise_m": self.stage.rise_m,
+                "rise_m": self.history[-1]["rise_m"] if self.history else 0.0,
                 "config": asdict(config),
             },
         )
 
     def save_checkpoint(self) -> None:
-        """Write everything that is needed to go on, under a temporary name first."""
-        self.out.mkdir(parents=True, exist_ok=True)
-        checkpoint = {
-            "format": CHECKPOINT_FORMAT,
-            "config": json.dumps(asdict(self.config)),
-            "segment": self.segment,
-            "stage": asdict(self.stage),
-            "best_score": list(self.best_score),
-            "history": json.dumps(self.history),
-            "learner": self.ppo.save(),
-        }
-        temporary = self.out / "checkpoint.pt.tmp"
-        torch.save(checkpoint, temporary)
-        os.replace(temporary, self.out / "checkpoint.pt")
+        """Write everything that is needed to go on.
+
+        Raises:
+            OSError: it cannot be written; the one that was there stays.
+        """
+        state = Checkpoint(
+            segment=self.segment,
+            stage=self.stage,
+            best_score=self.best_score,
+            history=self.history,
+            learner=self.ppo.save(),
+        )
+        write_checkpoint(self.out, self.config, self.robot, state)
 
     def resume(self) -> None:
         """Take up the folder's checkpoint.
@@ -321,34 +203,16 @@ class Trainer:
         Raises:
             TrainingError: there is none, it cannot be read, or it is of another configuration.
         """
-        path = self.out / "checkpoint.pt"
-        if not path.is_file():
-            raise TrainingError(f"{self.out} holds no checkpoint.pt to resume from")
+        state = read_checkpoint(self.out, self.config, self.robot)
         try:
-            checkpoint = torch.load(path, weights_only=True)
-        except Exception as error:
-            raise TrainingError(f"{path} cannot be read: it is damaged ({error})") from error
-        if checkpoint.get("format") != CHECKPOINT_FORMAT:
-            raise TrainingError(f"{path} is not a {CHECKPOINT_FORMAT} checkpoint")
-        mine, theirs = json.loads(json.dumps(asdict(self.config))), json.loads(checkpoint["config"])
-        differing = [key for key in mine if mine[key] != theirs.get(key) and key != "samples"]
-        if differing:
+            self.ppo.load(state.learner, None, True)
+        except (RuntimeError, KeyError, ValueError) as error:  # shapes differ, or parts are missing
             raise TrainingError(
-                f"{path} was made with other settings ({', '.join(differing)}): resume with those "
-                f"of {self.out / 'config.json'} or choose another folder"
-            )
-        self.ppo.load(checkpoint["learner"], None, True)
-        self.segment = checkpoint["segment"]
-        self.stage = Stage(**checkpoint["stage"])
-        rise_m, score = checkpoint["best_score"]
-        self.best_score = (rise_m, score)
-        self.history = json.loads(checkpoint["history"])
-
-
-def _score(result: ModeResult) -> float:
-    """Falls first, then the foot error: a policy that falls less is better."""
-    error_m = float(result.summary["error_m_p95"])
-    return 100.0 * (result.success - 1.0) - (error_m if np.isfinite(error_m) else 1.0)
+                f"the checkpoint in {self.out} is from another layout: its networks do not fit "
+                f"{self.robot.name} as it is now"
+            ) from error
+        self.segment, self.stage = state.segment, state.stage
+        self.best_score, self.history = state.best_score, state.history
 
 
 def git_revision() -> str:

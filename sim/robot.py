@@ -114,7 +114,8 @@ class Robot:
     collision shapes. `needs` names the module of a package that `build` takes the model from, and
     the extra of this project that installs it, where that is not always installed.
     `training_limits` are the step limits to train on; they may be wider than those of plans, so
-    that what is planned lies well inside what was learned. None for the same.
+    that what is planned lies well inside what was learned. None for the same. How far they let a
+    step rise is the highest stair that `train` takes.
     """
 
     name: str

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 
 from controller.assess import assess_mode, in_step_frame
+from controller.checkpoint import TrainingError
 from controller.cursor import STANCE
-from controller.env import TaskConfig, WalkTask
+from controller.env import WalkTask
 from controller.planned import PlannedSteps
 from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
 from controller.ppo import PpoConfig
 from controller.sequences import MAX_STEPS, MODES, draw_track
-from controller.train import TrainConfig, Trainer, TrainingError
+from controller.task_config import TaskConfig
+from controller.train import Trainer
+from controller.train_config import TrainConfig
 from maps.grid import OccupancyGrid
 from planner.api import plan_footsteps
 from planner.corpus import corpus_of

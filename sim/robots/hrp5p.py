@@ -16,6 +16,7 @@ ESTIMATED Ours, as said there: inertias, how the mass is shared, damping, all sh
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -333,17 +334,17 @@ def add_looks(spec: mujoco.MjSpec) -> None:
                 add_look(spec, spec.body(f"{side}_{name}"), _of(outward, solid), rgba)
 
 
+# Forward 0.35: PAPER's step length. The rest, ESTIMATED, is JVRC-1's, set outward by what the feet
+# are wider; tests/test_robots.py holds the legs to it.
+LIMITS = StepLimits(x_m=(-0.20, 0.35), y_m=(0.18, 0.38), yaw_rad=(-0.2, 0.4), z_m=(-0.10, 0.10))
+
 ROBOT = Robot(
     name="hrp5p",
     title="HRP-5P",
     step_model=StepModel(
         foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
         body=BodyShape(length_m=0.52, width_m=0.64),
-        # Forward 0.35: PAPER's step length. The rest, ESTIMATED, is JVRC-1's, set outward by what
-        # the feet are wider; tests/test_robots.py holds the legs to it.
-        limits=StepLimits(
-            x_m=(-0.20, 0.35), y_m=(0.18, 0.38), yaw_rad=(-0.2, 0.4), z_m=(-0.10, 0.10)
-        ),
+        limits=LIMITS,
         steps=STEPS,
         stance_width_m=0.21,
         turn_cost_m=0.05,
@@ -364,4 +365,5 @@ ROBOT = Robot(
     fallen_height_m=0.58,
     build=build,
     add_meshes=add_looks,
+    training_limits=replace(LIMITS, z_m=(-0.15, 0.15)),
 )

@@ -226,6 +226,6 @@ ROBOT = Robot(
     build=build,
     add_meshes=add_meshes,
     training_limits=StepLimits(
-        x_m=(-0.20, 0.35), y_m=(0.16, 0.34), yaw_rad=(-0.2, 0.4), z_m=(-0.10, 0.10)
+        x_m=(-0.20, 0.35), y_m=(0.16, 0.34), yaw_rad=(-0.2, 0.4), z_m=(-0.15, 0.15)
     ),
 )

@@ -1,0 +1,130 @@
+"""Where a training run stands, as a file that a killed run is taken up from."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from controller.curriculum import Stage
+from controller.observation import critic_fields, layout, policy_fields
+from controller.train_config import TrainConfig
+from sim.robot import Robot
+
+CHECKPOINT = "checkpoint.pt"
+CHECKPOINT_FORMAT = "walk-training/2"
+
+
+class TrainingError(ValueError):
+    """The training folder cannot be used as asked; the message is one line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Checkpoint:
+    """A run after `segment` segments, about to train at `stage`.
+
+    `best_score` is that of the best policy so far, `history` has one entry a segment, `learner`
+    is what PPO keeps.
+    """
+
+    segment: int
+    stage: Stage
+    best_score: tuple[float, float]
+    history: list[dict[str, Any]]
+    learner: dict[str, Any]
+
+
+def write_checkpoint(folder: Path, config: TrainConfig, robot: Robot, state: Checkpoint) -> None:
+    """Write everything that is needed to go on, under a temporary name first.
+
+    Raises:
+        OSError: it cannot be written; the one that was there stays.
+    """
+    document = {
+        "format": CHECKPOINT_FORMAT,
+        "config": json.dumps(asdict(config)),
+        "layout": json.dumps(_layout(robot)),
+        "segment": state.segment,
+        "stage": asdict(state.stage),
+        "best_score": list(state.best_score),
+        "history": json.dumps(state.history),
+        "learner": state.learner,
+    }
+    # Through memory: of a full disk torch tells in words of its own, the file in an OSError.
+    content = io.BytesIO()
+    torch.save(document, content)
+    folder.mkdir(parents=True, exist_ok=True)
+    temporary = folder / f"{CHECKPOINT}.tmp"
+    try:
+        temporary.write_bytes(content.getbuffer())
+        os.replace(temporary, folder / CHECKPOINT)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoint:
+    """The folder's checkpoint.
+
+    Raises:
+        TrainingError: there is none, it cannot be read, or it is of another configuration,
+            observation or robot.
+    """
+    path = folder / CHECKPOINT
+    if not path.is_file():
+        raise TrainingError(f"{folder} holds no {CHECKPOINT} to resume from")
+    try:
+        document = torch.load(path, weights_only=True)
+    except Exception as error:
+        # What torch says goes on for many lines, with advice that nobody should follow here.
+        raise TrainingError(f"{path} cannot be read: it is damaged or no checkpoint") from error
+    if not isinstance(document, Mapping) or document.get("format") != CHECKPOINT_FORMAT:
+        raise TrainingError(f"{path} is not a {CHECKPOINT_FORMAT} checkpoint")
+    try:
+        _check_config(folder, config, json.loads(document["config"]))
+        _check_layout(path, robot, json.loads(document.get("layout", "null")))
+        rise_m, score = document["best_score"]
+        return Checkpoint(
+            segment=document["segment"],
+            stage=Stage(**document["stage"]),
+            best_score=(rise_m, score),
+            history=json.loads(document["history"]),
+            learner=document["learner"],
+        )
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise TrainingError(f"{path} is damaged: {error!r}") from error
+
+
+def _check_config(folder: Path, config: TrainConfig, theirs: Mapping[str, Any]) -> None:
+    mine = json.loads(json.dumps(asdict(config)))
+    differing = [key for key in mine if mine[key] != theirs.get(key) and key != "samples"]
+    if differing:
+        raise TrainingError(
+            f"{folder / CHECKPOINT} was made with other settings ({', '.join(differing)}): resume "
+            f"with those of {folder / 'config.json'} or choose another folder"
+        )
+
+
+def _layout(robot: Robot) -> dict[str, Any]:
+    """What the numbers in the networks' first and last layers mean."""
+    return {
+        "observation": layout(policy_fields(robot)),
+        "critic": layout(critic_fields()),
+        "joints": [joint.name for joint in robot.joints],
+    }
+
+
+def _check_layout(path: Path, robot: Robot, theirs: Mapping[str, Any] | None) -> None:
+    """Compare, unless the checkpoint is from before layouts were stored."""
+    mine = json.loads(json.dumps(_layout(robot)))
+    for key, value in mine.items():
+        if theirs is not None and theirs.get(key) != value:
+            raise TrainingError(
+                f"{path} is from another layout: its {key} is {theirs.get(key)}, "
+                f"{robot.name} has {value}"
+            )

@@ -1,0 +1,146 @@
+"""The command `train` up to the training itself: what it takes, makes and refuses."""
+
+from __future__ import annotations
+
+import shutil
+from types import SimpleNamespace
+
+import pytest
+
+from app import dataset, train
+from app.cli import main
+from app.train import chosen_curriculum
+from app.train_options import TrainOptions
+from controller.checkpoint import TrainingError
+from planner.corpus import MANIFEST, PLANS, corpus_of
+from sim.robots import get_robot
+
+
+class Pretended:
+    """A trainer that only tells what it was given."""
+
+    made: list[Pretended] = []  # noqa: RUF012
+
+    def __init__(self, robot, config, out, *, threads, command, planned):
+        self.robot, self.config, self.out, self.command = robot, config, out, command
+        self.planned, self.segment, self.resumed = planned, 0, False
+        self.made.append(self)
+
+    def resume(self):
+        self.resumed = True
+
+    def run(self, progress):
+        (self.out / "checkpoint.pt").touch()
+
+
+@pytest.fixture
+def trainers(monkeypatch):
+    monkeypatch.setattr(Pretended, "made", [])
+    monkeypatch.setattr(train, "Trainer", Pretended)
+    monkeypatch.setattr(train, "CORPUS_PLANS", 2)
+    return Pretended.made
+
+
+def test_run_from_nothing_makes_the_corpus_that_dataset_makes(tmp_path, trainers, monkeypatch):
+    out, other = tmp_path / "run", tmp_path / "corpus"
+    assert main(["train", "--out", str(out), "--workers", "1"]) == 0
+    assert main(["dataset", "--count", "2", "--workers", "1", "--out", str(other)]) == 0
+    for name in (PLANS, MANIFEST):
+        assert (out / "corpus" / name).read_bytes() == (other / name).read_bytes()
+    assert len(trainers[0].planned.offsets) == 3
+    assert trainers[0].config.corpus == trainers[0].planned.digest != ""
+    assert trainers[0].command.endswith("--curriculum measured --out DIR")
+
+    monkeypatch.setattr(dataset, "run", lambda options: pytest.fail("the corpus is there"))
+    assert main(["train", "--out", str(out), "--resume"]) == 0
+    assert trainers[1].resumed
+    assert trainers[1].config == trainers[0].config
+    assert main(["train", "--out", str(tmp_path / "b"), "--corpus", str(other)]) == 0
+    assert trainers[2].config == trainers[0].config
+    assert trainers[2].command.endswith("--corpus CORPUS --out DIR")
+    assert not (tmp_path / "b" / "corpus").exists()
+
+
+def refusal(words, capsys):
+    """The one line of an error in the command `train`."""
+    assert main(["train", *map(str, words)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert error.count("\n") == 1
+    return error
+
+
+def test_folder_to_resume_from_must_hold_a_run(tmp_path, trainers, capsys):
+    missing = tmp_path / "typo"
+    assert "holds no checkpoint.pt" in refusal(["--resume", "--out", missing], capsys)
+    assert not missing.exists()
+    (tmp_path / "checkpoint.pt").touch()
+    assert "holds a run already; add --resume" in refusal(["--out", tmp_path], capsys)
+    # A run with a corpus from elsewhere: making another one would train on something else.
+    error = refusal(["--resume", "--out", tmp_path], capsys)
+    assert "has no corpus of its own: name the one that it began with" in error
+    assert not (tmp_path / "corpus").exists()
+    assert trainers == []
+
+
+def test_corpus_of_another_robot_is_refused(tmp_path, trainers, capsys):
+    plans = tmp_path / "plans"
+    plans.mkdir()
+    assert main(["dataset", "--count", "1", "--out", str(plans)]) == 0
+    capsys.readouterr()
+    words = ["--robot", "hrp5p", "--corpus", plans, "--out", tmp_path / "run"]
+    assert "the plans are for robot 'jvrc1', not for 'hrp5p'" in refusal(words, capsys)
+    corpus_of([], "hrp5p").save(plans, {})
+    assert "no plan has a step" in refusal(words, capsys)
+    (plans / PLANS).write_bytes(b"other")
+    assert "is not the file that manifest.json was written for" in refusal(words, capsys)
+
+
+def test_too_little_disk_is_told_before_any_work(tmp_path, trainers, capsys, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3_000_000))
+    error = refusal(["--out", tmp_path / "run"], capsys)
+    assert "too little disk: 3 MB are free" in error
+    assert "a run needs 100 MB" in error
+    assert not (tmp_path / "run" / "corpus").exists()
+
+
+def test_disk_that_fills_up_ends_the_run_in_one_line(tmp_path, trainers, capsys, monkeypatch):
+    def fill(trainer, progress):
+        raise TrainingError("cannot write in DIR: No space left on device; make room")
+
+    monkeypatch.setattr(Pretended, "run", fill)
+    assert main(["train", "--out", str(tmp_path)]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "error: cannot write in DIR: No space left on device; make room"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--rise", "0.3"], "0.3 m is not from 0.02 to 0.15 m, what JVRC-1's step limits"),
+        (["--rise", "0.01"], "0.01 m is not from 0.02 to 0.15 m"),
+        (["--rise", "nan"], "--rise"),
+        (["--robot", "h1", "--rise", "0.1"], "Unitree H1 has no stairs in its step limits"),
+        (["--rise", "0.1", "--curriculum", "flat"], "0.1 m of rise and --curriculum flat"),
+        (["--samples", "0"], "--samples"),
+    ],
+)
+def test_impossible_ranges_are_refused(words, told, tmp_path, trainers, capsys):
+    assert told in refusal([*words, "--out", tmp_path / "run"], capsys)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("robot", "words", "top_m"),
+    [
+        ("jvrc1", {}, 0.15),
+        ("jvrc1", {"rise": 0.08}, 0.08),
+        ("jvrc1", {"curriculum": "paper"}, 0.10),
+        ("jvrc1", {"curriculum": "flat"}, 0.0),
+        ("h1", {}, 0.0),
+        ("h1", {"curriculum": "paper"}, 0.0),
+    ],
+)
+def test_highest_stair_is_the_one_asked_for_or_the_robots(robot, words, top_m, tmp_path):
+    options = TrainOptions(out=tmp_path, robot=robot, **words)
+    assert chosen_curriculum(options, get_robot(robot)).top_rise_m == top_m
