@@ -18,6 +18,7 @@ from planner.ground import heights_below, resting_heights
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
+from planner.refine import refine
 from planner.search import Heuristic
 from planner.space import Space, build_space
 from planner.tables import tables_of
@@ -174,6 +175,9 @@ class Planner:
             return replace(plan, reason=f"{plan.reason}; steps go from {low_m:g} to {high_m:g} m")
         if result.status is not PlanStatus.FOUND:
             return plan
+        if self.options.refine:
+            plan = replace(plan, cost_before_m=result.cost_m)
+            result = refine(request, result)
         return replace(
             plan,
             side=result.side,

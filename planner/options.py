@@ -19,8 +19,8 @@ class PlannerOptions:
     first plan in search of a better one; None goes on until final_epsilon is proven.
     max_expansions: the same for the whole search. Both repeat exactly. time_limit_s: a limit on the
     clock on top of them; results then depend on the machine. stop_at_first: be content with the
-    first plan. unknown_is_free: walk on cells that nobody has seen. seed: of the planners that
-    draw at random.
+    first plan. refine: move the plan's steps off the lattice to lower its cost. unknown_is_free:
+    walk on cells that nobody has seen. seed: of the planners that draw at random.
     """
 
     name: str = "ara"
@@ -30,6 +30,7 @@ class PlannerOptions:
     max_expansions: int = 3_000_000
     time_limit_s: float | None = None
     stop_at_first: bool = False
+    refine: bool = False
     unknown_is_free: bool = False
     seed: int = 0
 

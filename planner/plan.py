@@ -46,6 +46,8 @@ class FootstepPlan:
     start_feet_world (2, 4): where the feet stand before the first step, left then right.
     start, goal: pair poses x_m, y_m, yaw_rad. Arrays are read-only.
     epsilon: proven bound: cost_m <= epsilon * optimum on the lattice; inf if nothing is proven.
+    cost_before_m: cost of the plan on the lattice, before its steps were moved off it to lower the
+        cost; None where they were not.
     """
 
     start_feet_world: FloatArray
@@ -58,6 +60,7 @@ class FootstepPlan:
     status: PlanStatus = PlanStatus.FOUND
     reason: str = ""
     cost_m: float = 0.0
+    cost_before_m: float | None = None
     epsilon: float = 1.0
     expansions: int = 0
     time_to_first_s: float = 0.0
@@ -102,6 +105,7 @@ class FootstepPlan:
                 for s, p in zip(self.side, self.pose_world.tolist(), strict=True)
             ],
             "cost_m": self.cost_m,
+            "cost_before_m": self.cost_before_m,
             "epsilon": self.epsilon if math.isfinite(self.epsilon) else None,
             "expansions": self.expansions,
             "time_to_first_s": self.time_to_first_s,
@@ -134,6 +138,7 @@ _STEP_KEYS = ("x", "y", "z", "yaw")
 def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
     steps = document["steps"]
     epsilon = document["epsilon"]
+    before = document.get("cost_before_m")
     return FootstepPlan(
         start_feet_world=np.array(
             [_numbers(document["start_feet"][s.name.lower()], 4) for s in Side]
@@ -149,6 +154,7 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         status=PlanStatus(document["status"]),
         reason=str(document["reason"]),
         cost_m=float(document["cost_m"]),
+        cost_before_m=None if before is None else float(before),
         epsilon=math.inf if epsilon is None else float(epsilon),
         expansions=int(document["expansions"]),
         time_to_first_s=float(document["time_to_first_s"]),

@@ -61,7 +61,8 @@ def test_the_file_has_the_documented_keys(plan):
     assert document["format"] == "footstep-plan/1"
     assert list(document) == [
         *("format", "robot", "map", "start", "goal", "status", "reason", "start_feet", "steps"),
-        *("cost_m", "epsilon", "expansions", "time_to_first_s", "time_s", "planner"),
+        *("cost_m", "cost_before_m", "epsilon", "expansions"),
+        *("time_to_first_s", "time_s", "planner"),
     ]
     assert document["status"] == "found"
     assert document["start_feet"]["left"] == plan.start_feet_world[0].tolist()

@@ -1,0 +1,158 @@
+"""Refinement of a plan off the lattice: its steps move to where they cost less, and get fewer.
+
+The search rounds every step to a lattice and takes steps from a set; the robot could make any step
+within its limits. So the steps of the plan found are moved continuously, within the same limits and
+clear of the same obstacles, until they cost least (`relax.py`). What that straightens needs fewer
+steps: the chain is laid out anew with fewer, each longer, and moved again, as long as that works.
+The last two feet stay those of the goal, the start feet where the robot stands.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.ara import Request, Result
+from planner.chain import NOT_ALLOWED, Rules, build_rules, chain_cost_um, foot_height_um
+from planner.lattice import MICRO
+from planner.plan import wrap_angle
+from planner.relax import relax
+
+FloatArray = NDArray[np.float64]
+_ITERATIONS = 16  # of one attempt; nearly all that succeed at all do so in fewer
+_LAST_ITERATIONS = 30
+_PARTS = 10  # at first one step in so many is left out at once
+
+
+def refine(request: Request, result: Result) -> Result:
+    """The result of a search with its steps moved, and perhaps fewer, at a lower cost.
+
+    The same result where nothing cheaper is found. It depends on nothing but its arguments.
+    """
+    space, model = request.space, request.model
+    if len(result.side) <= 2:
+        return result
+    rules = build_rules(
+        space,
+        model,
+        _to_grid(request.feet_lattice, space.frame),
+        np.rint(request.feet_m * MICRO).astype(np.int64),
+        0.0 if request.stands else model.body_margin_m,
+    )
+    outward = 1.0 - 2.0 * result.side[0]
+    poses = np.vstack([request.feet_lattice[1 - result.side[0]], result.pose_lattice])
+    poses = _to_grid(poses, space.frame)
+    cost_um = chain_cost_um(rules, poses, outward)
+    if cost_um == NOT_ALLOWED:
+        return result
+    may_swap = request.first_side is None
+    cost_um = min(cost_um, round(result.cost_m * MICRO))
+    found, outward, found_um = _shorten(rules, poses, outward, cost_um, may_swap)
+    if found_um >= cost_um:
+        return result
+    first = 0 if outward > 0 else 1
+    side = ((np.arange(len(found) - 1) + first) % 2).astype(np.int8)
+    pose_lattice = _to_lattice(found[1:], space.frame)
+    # The goal feet are the same to the bit.
+    goals = {int(s): p for s, p in zip(result.side[-2:], result.pose_lattice[-2:], strict=True)}
+    pose_lattice[-2:] = [goals[int(s)] for s in side[-2:]]
+    height_um = np.array([foot_height_um(space, pose) for pose in found[1:]])
+    return replace(
+        result,
+        side=side,
+        pose_lattice=pose_lattice,
+        z_m=height_um / MICRO,
+        cost_m=found_um / MICRO,
+    )
+
+
+def _to_grid(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
+    """Poses (n, 3) of the lattice frame in the grid frame."""
+    x, y, cos, sin = frame
+    return np.column_stack(
+        [
+            x + cos * poses[:, 0] - sin * poses[:, 1],
+            y + sin * poses[:, 0] + cos * poses[:, 1],
+            poses[:, 2] + math.atan2(sin, cos),
+        ]
+    )
+
+
+def _to_lattice(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
+    """Poses (n, 3) of the grid frame in the lattice frame."""
+    x, y, cos, sin = frame
+    dx, dy = poses[:, 0] - x, poses[:, 1] - y
+    yaw = wrap_angle(poses[:, 2] - math.atan2(sin, cos))
+    return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, yaw])
+
+
+@njit(cache=True)
+def _shorten(
+    rules: Rules, poses: FloatArray, outward: float, cost_um: int, may_swap: bool
+) -> tuple[FloatArray, float, int]:
+    """The cheapest chain found from a chain (N + 1, 3) on, the sign of its first side, its cost."""
+    least, best, sign = cost_um, poses, outward
+    moved = np.empty_like(poses)
+    cost = relax(rules, poses.copy(), outward, _ITERATIONS, 0, moved)
+    if cost != NOT_ALLOWED and cost < least:
+        least, best = cost, moved
+    fewer = max(1, len(poses) // _PARTS)
+    while fewer > 0:
+        steps = len(best) - 1 - fewer
+        improved = False
+        for swap in range(2 if may_swap else 1):
+            if steps < 2 or improved:
+                continue
+            trial = _laid_out(rules, best, sign, steps, swap == 1)
+            moved = np.empty_like(trial)
+            trial_sign = -sign if swap == 1 else sign
+            cost = relax(rules, trial, trial_sign, _ITERATIONS, least, moved)
+            if cost != NOT_ALLOWED and cost < least:
+                least, best, sign, improved = cost, moved, trial_sign, True
+        if not improved:
+            fewer //= 2
+    for swap in range(2 if may_swap else 1):
+        trial = _laid_out(rules, best, sign, len(best) - 1, swap == 1) if swap == 1 else best.copy()
+        moved = np.empty_like(trial)
+        trial_sign = -sign if swap == 1 else sign
+        cost = relax(rules, trial, trial_sign, _LAST_ITERATIONS, 0, moved)
+        if cost != NOT_ALLOWED and cost < least:
+            least, best, sign = cost, moved, trial_sign
+    return best, sign, least
+
+
+@njit(cache=True)
+def _laid_out(
+    rules: Rules, poses: FloatArray, outward: float, steps: int, swap: bool
+) -> FloatArray:
+    """Chain (steps + 1, 3) along the way of another (N + 1, 3).
+
+    Left and right feet each go along the line through their places in the old chain, at equal parts
+    of its duration. swap: the other foot goes first.
+    """
+    old = len(poses) - 1
+    chain = np.empty((steps + 1, 3))
+    for i in range(steps + 1):
+        # Old chains have the first support foot's places at even numbers.
+        parity = (i + 1) % 2 if swap else i % 2
+        at = i * old / steps
+        before = 2 * math.floor((at - parity) / 2.0) + parity
+        if i >= steps - 1 or before + 2 > old:
+            chain[i] = poses[old if old % 2 == parity else old - 1]
+            continue
+        # The foot that went first in the old chain stood at the start until then.
+        first = rules.feet[0 if outward > 0 else 1] if before < 0 else poses[before]
+        part = (at - before) / 2.0
+        turn = (poses[before + 2, 2] - first[2] + math.pi) % (2.0 * math.pi) - math.pi
+        chain[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
+        chain[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
+        chain[i, 2] = first[2] + part * turn
+    if swap:
+        chain[0] = rules.feet[0 if outward > 0 else 1]
+    else:
+        chain[0] = poses[0]
+    return chain
