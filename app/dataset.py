@@ -23,14 +23,16 @@ from app.output import make_folder, write_text
 from app.progress import ProgressBar, say
 from app.report import installed_versions
 from app.workers import in_order, portions
-from maps.writer import write_map
+from maps.reader import find_map
+from maps.writer import HEIGHTS, IMAGE, YAML, copy_map
 from planner.corpus import MANIFEST, PLANS, Corpus, corpus_of
 from planner.options import PlannerOptions
 from planner.random_plans import Drawn, RandomPlans, floor_around, random_plans
 from sim.robot import Robot
 
-MAP, TEXT, SHEET, HISTOGRAMS = "map.png", "plans.txt", "plans.png", "steps.png"
-FILES = (PLANS, MAP, "map.yaml", TEXT, SHEET, HISTOGRAMS, MANIFEST)
+TEXT, SHEET, HISTOGRAMS = "plans.txt", "plans.png", "steps.png"
+# All that a corpus may have.
+PATTERNS = (PLANS, YAML, f"{IMAGE}.*", f"{HEIGHTS}.*", TEXT, SHEET, HISTOGRAMS, MANIFEST)
 GOAL_X_M, GOAL_Y_M = Interval(0.0, 2.0), Interval(-1.0, 1.0)
 GOAL_YAW_RAD = Interval(-math.pi / 2, math.pi / 2)
 ANY_HEADING = Interval(-math.pi, math.pi)
@@ -51,7 +53,10 @@ def run(options: DatasetOptions) -> int:
         corpus = corpus_of([d.plan for d in drawn if d.plan], robot.name, [d.box for d in drawn])
         corpus.save(folder, manifest_of(options, wanted, drawn))
         if options.map is not None:
-            write_map(folder / MAP, wanted.grid)
+            copy_map(
+                find_map(options.map, resolution_m=options.resolution, origin=options.origin),
+                folder,
+            )
         if options.format == "lhw":
             write_text(folder / TEXT, lhw_text(corpus, wanted.model.stance_width_m))
         write_pictures(folder, corpus, wanted)
@@ -149,7 +154,7 @@ def manifest_of(options: DatasetOptions, wanted: RandomPlans, drawn: list[Drawn]
         "goal_y_m": wanted.goal_y_m,
         "goal_yaw_rad": wanted.goal_yaw_rad,
         "obstacles": options.obstacles,
-        "map": None if options.map is None else {"read": str(options.map), "file": MAP},
+        "map": None if options.map is None else {"read": str(options.map), "file": YAML},
         "floor": {
             "rows": grid.shape[0],
             "cols": grid.shape[1],
@@ -226,11 +231,13 @@ def folder_to_fill(out: Path) -> Iterator[Path]:
     try:
         stage = Path(tempfile.mkdtemp(prefix=".dataset-", dir=out))
         yield stage
-        for name in FILES:
-            if (stage / name).exists():
-                os.replace(stage / name, out / name)
-            else:
-                (out / name).unlink(missing_ok=True)
+        # The manifest comes last: it says that the rest is there.
+        new = sorted((path.name for path in stage.iterdir()), key=lambda name: name == MANIFEST)
+        for old in (path for pattern in PATTERNS for path in out.glob(pattern)):
+            if old.name not in new:
+                old.unlink(missing_ok=True)
+        for name in new:
+            os.replace(stage / name, out / name)
     except OSError as error:
         raise InputError(f"--out: cannot write {out}: {error.strerror or error}") from error
     finally:

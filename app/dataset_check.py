@@ -27,7 +27,7 @@ from maps.obstacles import with_boxes
 from maps.reader import MapError, load_map
 from planner.corpus import MANIFEST, PLANS, Corpus, CorpusError
 from planner.model import StepModel
-from planner.plan import FootstepPlan, PlanStatus, feet_at
+from planner.plan import FootstepPlan, PlanStatus
 from planner.verify import violations
 
 FORMAT = "footstep-corpus-check/1"
@@ -115,7 +115,7 @@ def plan_of(corpus: Corpus, i: int, stance_width_m: float) -> FootstepPlan:
     side, pose = corpus.plan(i)
     start, goal = (tuple(float(v) for v in of[i]) for of in (corpus.start, corpus.goal))
     return FootstepPlan(
-        start_feet_world=feet_at(start, stance_width_m),
+        start_feet_world=corpus.start_feet(i, stance_width_m),
         start=typing.cast(tuple[float, float, float], start),
         goal=typing.cast(tuple[float, float, float], goal),
         side=side,

@@ -70,6 +70,17 @@ def load_map(
     resolution_m and origin win over the YAML; with resolution_m an image needs no YAML.
     Raises MapError for anything wrong; warns with MapWarning where unknown grey reads as free.
     """
+    metadata = find_map(path, resolution_m=resolution_m, origin=origin)
+    grid = grid_from_image(read_image(metadata.image), metadata)
+    if metadata.elevation is None:
+        return grid
+    return replace(grid, elevation_m=_read_elevation(metadata, metadata.elevation, grid.shape))
+
+
+def find_map(
+    path: str | Path, *, resolution_m: float | None = None, origin: Pose | None = None
+) -> MapMetadata:
+    """What `load_map` reads for these arguments, before it reads the pictures. Raises MapError."""
     file = Path(path)
     if not file.exists():
         raise MapError(f"map {file}: no such file; give an image (PNG, PGM, BMP, JPEG) or its YAML")
@@ -84,10 +95,7 @@ def load_map(
         raise MapError(
             f"map {file}: resolution {metadata.resolution_m:g} must be above 0 (metres per pixel)"
         )
-    grid = grid_from_image(read_image(metadata.image), metadata)
-    if metadata.elevation is None:
-        return grid
-    return replace(grid, elevation_m=_read_elevation(metadata, metadata.elevation, grid.shape))
+    return metadata
 
 
 def _metadata_for(file: Path, resolution_m: float | None) -> MapMetadata:

@@ -1,35 +1,38 @@
-"""Writing of a map as an image and the YAML of the ROS map server beside it."""
+"""Writing of a map: its pictures as they are, and a YAML that names them."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
-import cv2
-import numpy as np
+from maps.reader import MapMetadata
 
-from maps.grid import Cell, OccupancyGrid
-
-# Grey of each cell state, and thresholds that part them without doubt.
-_GREY = {Cell.FREE: 254, Cell.OCCUPIED: 0, Cell.UNKNOWN: 205}
+YAML, IMAGE, HEIGHTS = "map.yaml", "map", "map_height"
 
 
-def write_map(image: Path, grid: OccupancyGrid) -> None:
-    """Writes a PNG and its YAML, which `load_map` reads back as the same cells and numbers.
+def copy_map(metadata: MapMetadata, folder: Path) -> None:
+    """Copies a map into a folder: `map.yaml`, and its pictures byte for byte beside it.
 
-    Raises OSError where they cannot be written.
+    They are called `map` and `map_height`, with the endings they had; `load_map` reads the copy as
+    it reads the map. Raises OSError where they cannot be read or written.
     """
-    grey = np.zeros(max(_GREY) + 1, np.uint8)
-    for cell, value in _GREY.items():
-        grey[cell] = value
-    if not cv2.imwrite(str(image), grey[grid.cells[::-1]]):
-        raise OSError(f"map {image}: cannot be written")
-    x_m, y_m, yaw_rad = (repr(float(v)) for v in grid.origin)
-    lines = (
-        f"image: {image.name}",
-        f"resolution: {float(grid.resolution_m)!r}",
-        f"origin: [{x_m}, {y_m}, {yaw_rad}]",
-        "negate: 0",
-        "occupied_thresh: 0.65",
-        "free_thresh: 0.1",
-    )
-    image.with_suffix(".yaml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    image = Path(IMAGE).with_suffix(metadata.image.suffix)
+    (folder / image).write_bytes(metadata.image.read_bytes())
+    keys: dict[str, object] = {
+        "image": str(image),
+        "resolution": float(metadata.resolution_m),
+        "origin": [float(v) for v in metadata.origin],
+        "negate": int(metadata.negate),
+        "occupied_thresh": float(metadata.occupied_thresh),
+        "free_thresh": float(metadata.free_thresh),
+        "mode": metadata.mode,
+    }
+    if metadata.elevation is not None:
+        heights = Path(HEIGHTS).with_suffix(metadata.elevation.suffix)
+        (folder / heights).write_bytes(metadata.elevation.read_bytes())
+        keys["elevation"] = str(heights)
+        keys["elevation_scale"] = float(metadata.elevation_scale_m)
+        keys["elevation_offset"] = float(metadata.elevation_offset_m)
+    # Every value of JSON is one of YAML; numbers keep all their digits.
+    lines = [f"{key}: {json.dumps(value)}" for key, value in keys.items()]
+    (folder / YAML).write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -31,6 +31,7 @@ _TYPES: Mapping[str, Any] = {
     "side": np.int8,
     "pose": np.float64,
     "start": np.float64,
+    "start_z": np.float64,
     "goal": np.float64,
     "cost_m": np.float64,
     "status": np.str_,
@@ -38,6 +39,7 @@ _TYPES: Mapping[str, Any] = {
 }
 
 Floats = NDArray[np.float64]
+_TOLERANCE = 1e-6
 
 
 class CorpusError(ValueError):
@@ -50,8 +52,9 @@ class Corpus:
 
     offsets (n + 1,): plan i has the steps offsets[i] to offsets[i + 1] of side and pose. side (m,):
     0 left, 1 right. pose (m, 4): x_m, y_m, z_m, yaw_rad of each foot placed. start, goal (n, 3):
-    pair poses x_m, y_m, yaw_rad. cost_m (n,). status (n,): `PlanStatus` as text. box (n, k, 5): the
-    obstacles that were drawn for each plan: x_m, y_m of the centre, length_m, width_m, yaw_rad. All
+    pair poses x_m, y_m, yaw_rad. start_z (n, 2): z_m of the left and right foot at the start.
+    cost_m (n,). status (n,): `PlanStatus` as text. box (n, k, 5): the obstacles that were drawn for
+    each plan: x_m, y_m of the centre, length_m, width_m, yaw_rad. All
     in the world. robot: the name of the robot that can walk these plans.
     Raises CorpusError where the arrays do not fit together.
     """
@@ -60,6 +63,7 @@ class Corpus:
     side: NDArray[np.int8]
     pose: Floats
     start: Floats
+    start_z: Floats
     goal: Floats
     cost_m: Floats
     status: NDArray[np.str_]
@@ -82,6 +86,7 @@ class Corpus:
             "side": (m,),
             "pose": (m, 4),
             "start": (n, 3),
+            "start_z": (n, 2),
             "goal": (n, 3),
             "cost_m": (n,),
             "status": (n,),
@@ -100,7 +105,7 @@ class Corpus:
             raise CorpusError(
                 f"status {str(min(unknown))!r} must be one of {', '.join(PlanStatus)}"
             )
-        for name in ("pose", "start", "goal", "cost_m", "box"):
+        for name in ("pose", "start", "start_z", "goal", "cost_m", "box"):
             if not np.isfinite(getattr(self, name)).all():
                 raise CorpusError(f"{name} must be finite everywhere")
 
@@ -110,12 +115,27 @@ class Corpus:
     def plan(self, i: int) -> tuple[NDArray[np.int8], Floats]:
         """Side (N,) and pose (N, 4) of the steps of plan i, in the order in which they are taken.
 
-        The robot stands at start[i] before the first of them: `start_feet` gives the feet.
+        Before the first of them the feet are at `start_feet`.
         """
         if not 0 <= i < len(self):
             raise IndexError(f"plan {i} must be from 0 to {len(self) - 1}")
         first, last = self.offsets[i], self.offsets[i + 1]
         return self.side[first:last], self.pose[first:last]
+
+    def start_feet(self, i: int, stance_width_m: float) -> Floats:
+        """Feet (2, 4) in the world, left then right, before the first step of plan i."""
+        feet = feet_at(self.start[i], stance_width_m)
+        feet[:, 2] = self.start_z[i]
+        return feet
+
+    def support(self, stance_width_m: float) -> Floats:
+        """Pose (m, 4) of the foot that stands while each step is taken."""
+        support = np.empty_like(self.pose)
+        support[1:] = self.pose[:-1]
+        for i in np.flatnonzero(np.diff(self.offsets)):
+            first = self.offsets[i]
+            support[first] = self.start_feet(int(i), stance_width_m)[1 - self.side[first]]
+        return support
 
     def relative_steps(self, stance_width_m: float) -> Floats:
         """Steps (m, 3): x_m, y_m, yaw_rad of each foot in the frame of the foot that it leaves.
@@ -123,11 +143,7 @@ class Corpus:
         y and yaw are counted outward, so they compare with StepLimits whatever the side. The feet
         stand stance_width_m apart at each start.
         """
-        support = np.empty_like(self.pose)
-        support[1:] = self.pose[:-1]
-        for i in np.flatnonzero(np.diff(self.offsets)):
-            first = self.offsets[i]
-            support[first] = feet_at(self.start[i], stance_width_m)[1 - self.side[first]]
+        support = self.support(stance_width_m)
         out = 1 - 2 * self.side.astype(float)
         cos, sin = np.cos(support[:, 3]), np.sin(support[:, 3])
         dx, dy = (self.pose - support)[:, :2].T
@@ -141,15 +157,19 @@ class Corpus:
         if not len(self.side):
             raise CorpusError("no plan has a step")
         steps = self.relative_steps(model.stance_width_m)
-        outside = np.flatnonzero(~model.limits.contain(steps, tolerance=1e-6))
+        rise_m = self.pose[:, 2] - self.support(model.stance_width_m)[:, 2]
+        low_m, high_m = model.limits.z_m
+        inside = model.limits.contain(steps, _TOLERANCE)
+        inside &= (rise_m >= low_m - _TOLERANCE) & (rise_m <= high_m + _TOLERANCE)
+        outside = np.flatnonzero(~inside)
         if len(outside):
             first = int(outside[0])
             plan = int(np.searchsorted(self.offsets, first, side="right")) - 1
             x_m, y_m, yaw_rad = (float(v) for v in steps[first])
             raise CorpusError(
-                f"step {first - self.offsets[plan]} of plan {plan} ({x_m:.3f}, {y_m:.3f}, "
-                f"{yaw_rad:.3f}) is outside the step limits of {robot} ({len(outside)} of "
-                f"{len(steps)} steps are)"
+                f"step {first - self.offsets[plan]} of plan {plan} (x {x_m:.3f}, y {y_m:.3f}, "
+                f"z {rise_m[first]:.3f}, yaw {yaw_rad:.3f}) is outside the step limits "
+                f"of {robot} ({len(outside)} of {len(steps)} steps are)"
             )
 
     def save(self, folder: Path, manifest: Mapping[str, Any]) -> None:
@@ -219,6 +239,7 @@ def corpus_of(plans: list[FootstepPlan], robot: str, box: ArrayLike | None = Non
         side=np.concatenate([plan.side for plan in plans] or [np.zeros(0, np.int8)]),
         pose=np.concatenate([plan.pose_world for plan in plans] or [np.zeros((0, 4))]),
         start=np.array([plan.start for plan in plans]).reshape(n, 3),
+        start_z=np.array([plan.start_feet_world[:, 2] for plan in plans]).reshape(n, 2),
         goal=np.array([plan.goal for plan in plans]).reshape(n, 3),
         cost_m=np.array([plan.cost_m for plan in plans]),
         status=np.array([str(plan.status) for plan in plans], dtype=np.str_),

@@ -78,7 +78,7 @@ def test_steps_relative_to_the_support_foot(corpus):
 def test_what_was_saved_is_loaded(corpus, tmp_path):
     corpus.save(tmp_path, {"seed": 7})
     loaded = Corpus.load(tmp_path)
-    for name in ("offsets", "side", "pose", "start", "goal", "cost_m", "status", "box"):
+    for name in ("offsets", "side", "pose", "start", "start_z", "goal", "cost_m", "status", "box"):
         np.testing.assert_array_equal(getattr(loaded, name), getattr(corpus, name))
     assert loaded.robot == "jvrc1"
     assert (loaded.manifest["seed"], loaded.manifest["plans"], loaded.manifest["steps"]) == (
@@ -113,8 +113,25 @@ def test_a_corpus_fits_its_robot_alone(corpus):
     limits = replace(MODEL.limits, x_m=(-0.01, 0.3))
     steps = tuple(step for step in MODEL.steps if limits.contain(step))
     narrow = replace(MODEL, limits=limits, steps=steps)
-    with pytest.raises(CorpusError, match=r"step 0 of plan 2 \(-0.050.*1 of 3 steps"):
+    with pytest.raises(CorpusError, match=r"step 0 of plan 2 \(x -0.050.*1 of 3 steps"):
         corpus.require_fit("jvrc1", narrow)
+
+
+def test_steps_that_rise_too_far(corpus):
+    pose = np.array(corpus.pose)
+    pose[:2, 2] = 0.1, 0.2
+    stairs = replace(corpus, pose=pose)
+    limits = replace(MODEL.limits, z_m=(-0.1, 0.1))
+    stairs.require_fit("jvrc1", replace(MODEL, limits=limits))
+    pose[1, 2] = 0.201
+    with pytest.raises(CorpusError, match=r"step 1 of plan 0 \(x .* z 0\.101, .*1 of 3 steps"):
+        replace(corpus, pose=pose).require_fit("jvrc1", replace(MODEL, limits=limits))
+    # A plan that starts up there does not rise.
+    pose[:] = corpus.pose
+    pose[:2, 2] = 0.5
+    high = replace(corpus, pose=pose, start_z=[[0.5, 0.5], [0.0, 0.0], [0.0, 0.0]])
+    high.require_fit("jvrc1", replace(MODEL, limits=replace(limits, z_m=(0.0, 0.0))))
+    np.testing.assert_array_equal(high.start_feet(0, WIDTH_M)[:, 2], [0.5, 0.5])
 
 
 def test_a_folder_that_holds_no_corpus(tmp_path, corpus):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -19,12 +18,11 @@ import pytest
 from app.cli import main
 from app.dataset import lhw_text
 from app.dataset_check import from_document
-from app.errors import ExitCode, InputError
-from app.workers import in_order, portions
+from app.errors import ExitCode
 from maps.grid import Cell, OccupancyGrid
 from maps.obstacles import with_boxes
-from maps.reader import load_map
-from maps.writer import write_map
+from maps.reader import find_map, load_map
+from maps.writer import copy_map
 from planner.corpus import Corpus
 from planner.model import StepModel
 from planner.random_plans import RandomPlans, floor_around, random_plans
@@ -181,15 +179,30 @@ def test_a_corpus_on_a_map(tmp_path, capsys):
     corpus = dataset(tmp_path, "--count", "3", "--map", ROOM, "--goal-x", "1.5,6")
     assert np.all(corpus.goal[:, 0] >= 1.5)
     assert len(np.unique(corpus.start, axis=0)) == 3
-    grid, kept = load_map(ROOM), load_map(tmp_path / "map.png")
+    grid, kept = load_map(ROOM), load_map(tmp_path / "map.yaml")
     np.testing.assert_array_equal(grid.cells, kept.cells)
     assert (kept.origin, kept.resolution_m) == (grid.origin, grid.resolution_m)
     code, document, _ = check(capsys, tmp_path)
     assert (code, document["wrong"]) == (ExitCode.DONE, {})
+    assert (tmp_path / "map.png").read_bytes() == Path(ROOM).read_bytes()
     # A new corpus takes the place of the old one, files that it does not have included.
     dataset(tmp_path, "--count", "1")
     assert not (tmp_path / "map.png").exists()
     assert len(Corpus.load(tmp_path)) == 1
+
+
+def test_a_corpus_on_stairs(tmp_path, capsys):
+    stairs = str(ROOT / "maps" / "stairs.yaml")
+    # From the floor, up or not, as the map has it.
+    corpus = dataset(tmp_path, "--count", "4", "--seed", "1", "--map", stairs)
+    assert corpus.pose[:, 2].max() > 0.0
+    code, document, _ = check(capsys, tmp_path)
+    assert (code, document["wrong"]) == (ExitCode.DONE, {})
+    pose = np.array(corpus.pose)
+    pose[corpus.offsets[2], 2] += 0.03
+    tampered(tmp_path, tmp_path, pose=pose)
+    code, document, _ = check(capsys, tmp_path)
+    assert (code, list(document["wrong"])) == (ExitCode.BAD_INPUT, ["2"])
 
 
 def test_the_text_is_read_as_the_paper_s_code_reads_it(small):
@@ -317,29 +330,12 @@ def test_cells_below_a_box_are_occupied():
     assert half.sum() == 4
 
 
-def test_a_map_that_was_written_reads_as_it_was(tmp_path):
-    cells = np.random.default_rng(0).integers(0, 3, (7, 5)).astype(np.uint8)
-    grid = OccupancyGrid(cells=cells, resolution_m=0.1 / 3, origin=(-1.25, 1e-7, 2.0 / 3))
-    write_map(tmp_path / "map.png", grid)
-    kept = load_map(tmp_path / "map.yaml")
-    np.testing.assert_array_equal(kept.cells, cells)
-    assert (kept.resolution_m, kept.origin) == (grid.resolution_m, grid.origin)
-
-
-def test_portions_hold_every_number_once():
-    for count in (1, 7, 100, 1001):
-        runs = portions(count, 2, 25)
-        assert [n for run in runs for n in run] == list(range(count))
-        assert max(map(len, runs)) <= 25
-
-
-def _square_or_die(number: int) -> int:
-    if number == 5:
-        os._exit(1)
-    return number * number
-
-
-def test_results_come_in_order_and_a_dead_process_is_told():
-    assert list(in_order(_square_or_die, [3, 1, 2], 2)) == [9, 1, 4]
-    with pytest.raises(InputError, match="a process died"):
-        list(in_order(_square_or_die, [1, 5], 2))
+def test_the_copy_of_a_map_reads_as_the_map(tmp_path):
+    metadata = find_map(ROOT / "maps" / "stairs.png", resolution_m=0.1 / 3, origin=(-1.25, 1e-7, 2))
+    copy_map(metadata, tmp_path)
+    copy = load_map(tmp_path / "map.yaml")
+    grid = load_map(ROOT / "maps" / "stairs.png")
+    assert (copy.resolution_m, copy.origin) == (0.1 / 3, (-1.25, 1e-7, 2))
+    np.testing.assert_array_equal(copy.cells, grid.cells)
+    assert copy.elevation_m is not None
+    np.testing.assert_array_equal(copy.elevation_m, grid.elevation_m)
