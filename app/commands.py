@@ -57,7 +57,7 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             example="dataset check runs/corpus",
         ),
         "evaluate": Command(
-            summary="measure falls and foot errors of a policy, mode by mode",
+            summary="measure how well a policy walks, as one report with figures",
             options="app.evaluate_options:EvaluateOptions",
             run="app.evaluate:run",
             example="evaluate --robot jvrc1 --out runs/evaluate",

@@ -6,16 +6,21 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.inputs import RobotName
-from app.options import FolderOption, OptionalFile, whole_number
+from app.options import FolderOption, OptionalFile, some_of, whole_number
+
+SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions:
-    """Measure how well a policy walks: falls and foot errors of every walking mode.
+    """Measure how well a policy walks, and write one report with figures.
 
-    Each mode is walked in held-out episodes of 10 s with physics at 1 kHz, as in navigation, by
-    the policy without exploration noise. The folder gets evaluation.json, report.md and
-    errors.png; the modes done so far are kept when the run is cut off.
+    Sections: falls and foot errors of every mode (modes), stairs with noise on treads and joints
+    (stairs), joint loads, ground force and contact (gait), push recovery (push), speed and cost of
+    transport (energy), a minute of mixed walking (long), and the steps and margins that planning
+    may count on (limits); what the last finds is stored beside the policy, where plans find it.
+    The folder gets report.md, evaluation.json and the figures. What is done is kept when the run
+    is cut off: the same command goes on from there.
     """
 
     out: FolderOption
@@ -27,8 +32,11 @@ class EvaluateOptions:
     policy: OptionalFile = None
     """The policy to measure, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 
+    sections: Annotated[tuple[str, ...], some_of(*SECTION_NAMES)] = SECTION_NAMES
+    """What to measure, such as modes,stairs."""
+
     episodes: Annotated[int, whole_number(at_least=1)] = 1000
-    """Episodes of each mode, such as 1000."""
+    """Episodes of each mode, such as 1000; where there are many cases, a share of it for each."""
 
     seed: Annotated[int, whole_number(at_least=0)] = 1
     """Seed of the episodes, such as 1; training never uses the same ones."""

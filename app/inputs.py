@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from app.errors import as_bad_input
 from app.options import FileOption, OptionalLength, OptionalPose, text
+from controller.follower import as_measured
+from controller.policy import PolicyError
 from maps.grid import OccupancyGrid
 from maps.reader import MapError, load_map
 from sim.robot import Robot
@@ -51,3 +54,17 @@ def find_robot(name: str) -> Robot:
     """
     with as_bad_input(ValueError):
         return get_robot(name)
+
+
+def find_follower(name: str, policy: Path | None = None) -> Robot:
+    """The robot of that name with the step model that planning uses.
+
+    Step limits and margins are those that the policy, by default the robot's own, was measured to
+    keep (`evaluate` stores them beside it), or the robot's file's where nothing was measured.
+
+    Raises:
+        InputError: There is no such robot, or what was measured cannot be read.
+    """
+    robot = find_robot(name)
+    with as_bad_input(PolicyError):
+        return as_measured(robot, policy)

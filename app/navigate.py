@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from app.errors import as_bad_input
-from app.inputs import find_robot, read_grid
+from app.inputs import find_follower, read_grid
 from app.navigate_options import NavigateOptions
 from app.navigator import Navigator, NavigatorConfig, scene_of
 from app.options import Pose
@@ -31,7 +31,7 @@ from sim.robot import Robot
 def run(options: NavigateOptions) -> int:
     """Carries the command out; returns the exit code."""
     started = time.perf_counter()
-    grid, robot = read_grid(options), find_robot(options.robot)
+    grid, robot = read_grid(options), find_follower(options.robot, options.policy)
     policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
     with as_bad_input(PolicyError):
         policy = load_policy(robot, policy_path)

@@ -86,6 +86,19 @@ def choice(*names: str) -> PrimitiveConstructorSpec[str]:
     return _spec("|".join(names), read)
 
 
+def some_of(*names: str) -> PrimitiveConstructorSpec[tuple[str, ...]]:
+    """Reads some of the names with commas between, for `Annotated[tuple[str, ...], ...]`."""
+
+    def read(words: list[str]) -> tuple[str, ...]:
+        chosen = [word.strip() for word in words[0].split(",")]
+        for word in chosen:
+            if word not in names:
+                raise ValueError(f"{word!r} is not one of {', '.join(names)}")
+        return tuple(name for name in names if name in chosen)
+
+    return _spec("NAME,NAME,...", read)
+
+
 def text(metavar: str) -> PrimitiveConstructorSpec[str]:
     """Reads any text, for `Annotated[str, ...]`; the metavar stands for it in the help."""
     return _spec(metavar, lambda words: words[0])
@@ -125,6 +138,8 @@ def _show(value: object) -> list[str]:
         return ["none"]
     if isinstance(value, (Pose, Interval)):
         return [",".join(f"{part:g}" for part in value)]
+    if isinstance(value, tuple):
+        return [",".join(map(str, value))]
     return [str(value)]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.errors import ExitCode
-from app.inputs import MapOptions, RobotName, find_robot, read_grid
+from app.inputs import MapOptions, RobotName, find_follower, read_grid
 from app.options import OptionalFile, OptionalTime, Pose, PoseOption, choice, number
 from app.output import PICTURE_ENDINGS, require_writable, write_text
 from app.progress import say
@@ -32,6 +32,9 @@ class PlanOptions(MapOptions):
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
+
+    policy: OptionalFile = None
+    """Who is to walk it, such as runs/train/jvrc1.safetensors; none: the robot's own policy."""
 
     out: OptionalFile = None
     """Write the plan to this file, such as plan.json."""
@@ -61,7 +64,7 @@ def run(options: PlanOptions) -> int:
         require_writable(options.out, option="--out")
     if options.image is not None:
         require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
-    robot = find_robot(options.robot)
+    robot = find_follower(options.robot, options.policy)
     grid = read_grid(options)
 
     # Here and not above: the compiled search takes a second to load, bad input need not wait.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.errors import InputError, as_bad_input
-from app.inputs import find_robot, read_grid
+from app.inputs import find_follower, read_grid
 from app.page.page import Page
 from app.page.server import open_server
 from app.page.session import Session
@@ -25,7 +25,7 @@ def run(options: ServeOptions) -> int:
     def load(name: str) -> tuple[Robot, Policy]:
         if options.policy is None or name != options.robot:
             return load_robot(name)
-        robot = find_robot(name)
+        robot = find_follower(name, options.policy)
         with as_bad_input(PolicyError):
             return robot, load_policy(robot, options.policy)
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from app.errors import ExitCode, InputError, as_bad_input
-from app.inputs import find_robot, read_grid
+from app.inputs import find_follower, read_grid
 from app.navigator import Navigator, NavigatorConfig
 from app.output import make_folder, to_json, write_text
 from app.progress import ProgressBar
@@ -28,7 +28,6 @@ from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
 from planner.plan import feet_at
 from sim.clearance import min_clearance_m
-from sim.robots import get_robot
 
 FORMAT = "navigation-trials/1"
 Pose = tuple[float, float, float]
@@ -57,7 +56,7 @@ class Course:
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
-    grid, robot = read_grid(options), find_robot(options.robot)
+    grid, robot = read_grid(options), find_follower(options.robot, options.policy)
     with as_bad_input(PolicyError):
         load_policy(robot, options.policy)
     make_folder(options.out, option="--out")
@@ -94,7 +93,7 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
         InputError: The robot can hardly stand anywhere on this map, or not so far apart.
     """
     rng = np.random.default_rng(seed)
-    model = get_robot(course.robot).step_model
+    model = find_follower(course.robot, course.policy).step_model
     terrain = terrain_of(course.grid, course.unknown_is_free)
     x0, y0, x1, y1 = course.grid.bounds_world()
 
@@ -131,7 +130,7 @@ def walk_all(course: Course, trials: Sequence[Trial], workers: int) -> Iterator[
 
 def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
-    robot = get_robot(course.robot)
+    robot = find_follower(course.robot, course.policy)
     navigator = Navigator(
         course.grid,
         robot,

@@ -158,6 +158,17 @@ class StepCursor:
         return self._pose[self._rows, np.maximum(self.entry - STANCE, 0)]
 
     @property
+    def stances(self) -> np.ndarray:
+        """Both feet (B, 2, 2, 4) of the stance that the present step leaves, and of the one after.
+
+        In the order in which the feet move; of a standing robot both stances are the same.
+        """
+        first = np.where(self.standing, self.entry, np.maximum(self.entry - 1, 0))
+        before = np.where(self.standing | (self.entry < STANCE), first, self.entry - 2)
+        entries = np.stack([before, first], axis=1)[..., None] + np.arange(2)
+        return self._pose[self._rows[:, None, None], entries]
+
+    @property
     def clock(self) -> np.ndarray:
         """Sine and cosine of the gait phase (B, 2)."""
         return clock(self.ticks, self.side, self.tick, self.standing)

@@ -19,10 +19,24 @@ class Walker:
     `late_ticks` (B,) in [0, 1] is by how much of a control step targets come late.
     """
 
-    def __init__(self, scene: Scene, *, count: int = 1, threads: int = 1, capacity: int = 16):
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        count: int = 1,
+        threads: int = 1,
+        capacity: int = 16,
+        record: tuple[str, ...] = (),
+    ):
         self.scene = scene
         self.robot = scene.robot
-        self.sim = SimBatch(scene, count=count, control_period_s=CONTROL_PERIOD_S, threads=threads)
+        self.sim = SimBatch(
+            scene,
+            count=count,
+            control_period_s=CONTROL_PERIOD_S,
+            threads=threads,
+            record=record,
+        )
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
         self.late_ticks = np.zeros(count)

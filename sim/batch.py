@@ -27,11 +27,27 @@ class SimBatch:
     `qpos` (B, nq) and `qvel` (B, nv) are live views of the states: writing them sets the
     states. `sensors` (B, S, nsensordata) holds every sensor at each of the S physics steps of
     the last `step()`. `failed` (B,) marks the simulations whose last step raised in MuJoCo or
-    left a state that is not finite; they must be reset.
+    left a state that is not finite; they must be reset. `recorded` holds what else was asked for.
     """
 
-    def __init__(self, scene: Scene, *, count: int, control_period_s: float, threads: int = 1):
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        count: int,
+        control_period_s: float,
+        threads: int = 1,
+        record: tuple[str, ...] = (),
+    ):
         """Set `count` simulations up in half-sitting at the origin.
+
+        Args:
+            scene: what is simulated.
+            count: B.
+            control_period_s: how long `step()` lasts.
+            threads: for the physics; the result does not depend on it.
+            record: fields of MjData, such as qvel, that `recorded` holds after each `step()` as
+                arrays (B, S, ...), as `sensors` does.
 
         Raises:
             ValueError: the control period is not a whole number of physics steps.
@@ -54,6 +70,8 @@ class SimBatch:
         self._pushes: np.ndarray | None = None
         self._pelvis = scene.model.body("pelvis").id
         self.sensors = np.zeros((count, substeps, scene.model.nsensordata))
+        self.recorded: dict[str, np.ndarray] = {}
+        self._record = ("sensordata", *record)
         self.failed = np.zeros(count, dtype=bool)
         self.reset(np.arange(count), np.tile(scene.standing_qpos, (count, 1)))
 
@@ -94,10 +112,10 @@ class SimBatch:
         """Advance all by one control period with the joint targets (B, J) held."""
         self._ctrl[:] = targets_rad
         self.failed[:] = False
+        out = {**self.recorded, "sensordata": self.sensors}
         try:
-            self._batch.rollout(
-                self.substeps, record=("sensordata",), out={"sensordata": self.sensors}
-            )
+            written = self._batch.rollout(self.substeps, record=self._record, out=out)
+            self.recorded = {name: written[name] for name in self._record[1:]}
         except SimulationError as error:
             self.failed[error.ids] = True
         # MuJoCo resets a state that is not finite by itself; only the warning tells of it.

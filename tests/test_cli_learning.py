@@ -15,8 +15,8 @@ ROOM = str(Path(__file__).resolve().parent.parent / "maps" / "room.png")
 
 
 def test_evaluate_writes_a_row_for_every_mode(tmp_path, capsys):
-    words = ["evaluate", "--episodes", "1", "--workers", "2", "--json", "--out", str(tmp_path)]
-    assert main(words) == 0
+    words = ["evaluate", "--sections", "modes", "--episodes", "1", "--workers", "2", "--json"]
+    assert main([*words, "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert (tmp_path / "evaluation.json").read_text() == printed
     document = json.loads(printed)

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterator
 
 from app.errors import as_bad_input
+from app.inputs import find_follower
 from app.navigate_options import NavigateOptions
 from app.navigator import Navigator
 from app.page.page import Page
@@ -16,7 +17,7 @@ from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from sim.robot import Robot
-from sim.robots import get_robot, robot_names
+from sim.robots import robot_names
 
 
 def load_robot(name: str) -> tuple[Robot, Policy]:
@@ -25,8 +26,8 @@ def load_robot(name: str) -> tuple[Robot, Policy]:
     Raises:
         InputError: There is no such robot, or nobody has taught it to walk.
     """
-    with as_bad_input(ValueError, PolicyError):
-        robot = get_robot(name)
+    robot = find_follower(name)
+    with as_bad_input(PolicyError):
         return robot, load_policy(robot, POLICY_FOLDER / f"{name}.safetensors")
 
 

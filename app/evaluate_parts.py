@@ -1,0 +1,104 @@
+"""The parts of an evaluation: each is measured on its own and kept as a file of its own.
+
+A cut-off run keeps the parts that are done, and a later run with the same policy, seed and
+episodes takes them up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from app.output import make_folder, to_json, write_text
+from controller.policy import Policy
+from sim.robot import Robot
+
+FORMAT = "evaluation-part/1"
+Results = dict[str, dict[str, Any]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bench:
+    """Who is measured, and how much. The results do not depend on `threads`."""
+
+    robot: Robot
+    policy: Policy
+    episodes: int
+    seed: int
+    threads: int = os.cpu_count() or 1
+
+    def share(self, divisor: int) -> int:
+        """A part of the episodes, at least one."""
+        return max(1, self.episodes // divisor)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What a result depends on, besides the code."""
+        return {
+            "robot": self.robot.name,
+            "policy_sha256": self.policy.about["sha256"],
+            "episodes": self.episodes,
+            "seed": self.seed,
+            "mujoco": mujoco.__version__,
+        }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """One measurement of a section. `measure` is told the results so far, by part name.
+
+    `robot_seconds` is how much walking is simulated: the measure of progress.
+    """
+
+    section: str
+    name: str
+    robot_seconds: float
+    measure: Callable[[Results], dict[str, Any]]
+
+
+class Kept:
+    """The results in a folder, one file a part."""
+
+    def __init__(self, folder: Path, bench: Bench):
+        self._folder = folder / "parts"
+        self._settings = bench.settings
+
+    def read(self, part: Part) -> dict[str, Any] | None:
+        """A part's result; None where there is none of the same settings."""
+        try:
+            document = json.loads(self._path(part).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return None
+        if not isinstance(document, Mapping) or document.get("format") != FORMAT:
+            return None
+        if document.get("settings") != self._settings:
+            return None
+        result = document.get("result")
+        return result if isinstance(result, dict) else None
+
+    def write(self, part: Part, result: Mapping[str, Any]) -> None:
+        """Keep a part's result, whole or not at all."""
+        make_folder(self._folder, option="--out")
+        document = {"format": FORMAT, "settings": self._settings, "result": dict(result)}
+        write_text(self._path(part), to_json(document))
+
+    def _path(self, part: Part) -> Path:
+        return self._folder / f"{part.name}.json"
+
+
+def finite(value: Any) -> Any:
+    """The same with None in place of every number that is not finite: JSON has no word for it."""
+    if isinstance(value, Mapping):
+        return {key: finite(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(part) for part in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,209 @@
+"""How well a policy takes each kind of step, and within which limits it takes them all.
+
+Walks are 10 s long. Steps are (x_m, y_m, yaw_rad) in the support foot's frame, y and yaw outward.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.cursor import STANCE, Track
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import Policy
+from controller.sequences import chain_steps
+from controller.walks import portions, set_off, walk
+from planner.model import Side, Step, StepLimits
+from sim.robot import Robot
+
+WALK_S = 10.0
+# Whether each step of (n, 3) is one that the feet can stand in.
+Possible = Callable[[np.ndarray], np.ndarray]
+# Gives steps (n, 3) of one walk, told how many and which robot's they are; and which of them count.
+DrawSteps = Callable[[np.random.Generator, int, int], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepWalks:
+    """B walks: which robots stayed `upright` (B,), and each landing that counts.
+
+    Per landing (N,): `robot`, horizontal `error_m`, `heading_error_rad` (not negative).
+    """
+
+    upright: np.ndarray
+    robot: np.ndarray
+    error_m: np.ndarray
+    heading_error_rad: np.ndarray
+
+
+def walk_steps(
+    robot: Robot,
+    policy: Policy,
+    draw_steps: DrawSteps,
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+    falls_at_most: int | None = None,
+) -> StepWalks:
+    """Let `count` robots walk steps that are drawn anew for each.
+
+    They walk in portions; once more than `falls_at_most` have fallen, the rest is left out.
+    """
+    parts: list[StepWalks] = []
+    for k, rows in enumerate(portions(count)):
+        part_seed = np.random.SeedSequence([seed, k])
+        parts.append(_walk_portion(robot, policy, draw_steps, rows, part_seed, threads))
+        falls = sum(int((~part.upright).sum()) for part in parts)
+        if falls_at_most is not None and falls > falls_at_most:
+            break
+    names = ("upright", "robot", "error_m", "heading_error_rad")
+    return StepWalks(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
+
+
+def _walk_portion(
+    robot: Robot,
+    policy: Policy,
+    draw_steps: DrawSteps,
+    rows: range,
+    seed: np.random.SeedSequence,
+    threads: int,
+) -> StepWalks:
+    steps = int(WALK_S / robot.gait.step_s) + 2
+    counting = np.zeros((len(rows), steps), dtype=bool)
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+        relative, counting[row] = draw_steps(rng, steps, rows[row])
+        side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
+        return Track.of(feet, side, poses)
+
+    walker = set_off(robot, draw, count=len(rows), seed=seed, threads=threads)
+    upright = np.ones(len(rows), dtype=bool)
+    who, error_m, heading = [], [], []
+    for tick in walk(walker, policy, round(WALK_S / CONTROL_PERIOD_S)):
+        upright = tick.upright
+        landed = np.flatnonzero(tick.landed)
+        landed = landed[counting[landed, tick.entry[landed] - STANCE]]
+        off = (tick.placed_world - tick.asked_world)[landed]
+        who.append(rows[0] + landed)
+        error_m.append(np.hypot(off[:, 0], off[:, 1]))
+        heading.append(np.abs((off[:, 3] + np.pi) % (2 * np.pi) - np.pi))
+    return StepWalks(
+        upright=upright,
+        robot=np.concatenate(who),
+        error_m=np.concatenate(error_m),
+        heading_error_rad=np.concatenate(heading),
+    )
+
+
+def step_map(
+    robot: Robot,
+    policy: Policy,
+    kinds: np.ndarray,
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+) -> list[dict[str, float | None]]:
+    """Success and 95th percentile of the foot error of each kind of step (K, 3).
+
+    `count` robots a kind take it in every other step on average, at random, and steps of the
+    planner's set in between, as plans do.
+    """
+    among = np.array(robot.step_model.steps)
+
+    def draw(rng: np.random.Generator, steps: int, row: int) -> tuple[np.ndarray, np.ndarray]:
+        this = rng.uniform(size=steps) < 0.5
+        relative = among[rng.integers(len(among), size=steps)]
+        relative[this] = kinds[row // count]
+        return relative, this
+
+    walks = walk_steps(robot, policy, draw, count=len(kinds) * count, seed=seed, threads=threads)
+    success = walks.upright.reshape(len(kinds), count).mean(axis=1)
+    found: list[dict[str, float | None]] = []
+    for k, kind in enumerate(kinds):
+        error_m = walks.error_m[walks.robot // count == k]
+        found.append(
+            {
+                "x_m": float(kind[0]),
+                "y_m": float(kind[1]),
+                "yaw_rad": float(kind[2]),
+                "success": float(success[k]),
+                "error_m_p95": float(np.percentile(error_m, 95)) if len(error_m) else None,
+            }
+        )
+    return found
+
+
+def anywhere_within(limits: StepLimits, among: Sequence[Step], possible: Possible) -> DrawSteps:
+    """Walks that begin with two steps on corners of the limits and go on anywhere within them.
+
+    Corners are hardest, and plans touch them where they join the robot's stance to their lattice.
+    Of the other steps half are drawn evenly over the limits and half from the planner's set.
+    """
+    low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T
+    corners = np.array(list(itertools.product(limits.x_m, limits.y_m, limits.yaw_rad)))
+    corners, usual = corners[possible(corners)], np.array(among)
+
+    def draw_one(rng: np.random.Generator) -> np.ndarray:
+        while True:
+            step = rng.uniform(low, high)
+            if possible(step[None])[0]:
+                return np.asarray(step)
+
+    def draw(rng: np.random.Generator, steps: int, row: int) -> tuple[np.ndarray, np.ndarray]:
+        relative = usual[rng.integers(len(usual), size=steps)]
+        for k in np.flatnonzero(rng.uniform(size=steps) < 0.5):
+            relative[k] = draw_one(rng)
+        if len(corners):
+            relative[:2] = corners[rng.integers(len(corners), size=2)]
+        return relative, np.ones(steps, dtype=bool)
+
+    return draw
+
+
+def candidate_limits(robot: Robot) -> list[StepLimits]:
+    """Limits to try, the widest first.
+
+    From those trained on in four equal parts to those of the robot's file, then on in tenths
+    towards stepping in place.
+    """
+    trained, stated = robot.training_model.limits, robot.step_model.limits
+    standing = StepLimits(
+        x_m=(0.0, 0.0), y_m=(robot.step_model.stance_width_m,) * 2, yaw_rad=(0.0, 0.0)
+    )
+    tried = [_between(trained, stated, share) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    tried += [_between(stated, standing, share) for share in (0.1, 0.2, 0.3, 0.4, 0.5)]
+    return list(dict.fromkeys(tried))
+
+
+def _between(wide: StepLimits, narrow: StepLimits, share: float) -> StepLimits:
+    """Limits with each end moved by the share from wide to narrow, to the nearest millimetre."""
+
+    def blend(name: str) -> tuple[float, float]:
+        ends = zip(getattr(wide, name), getattr(narrow, name), strict=True)
+        low, high = (round((1 - share) * w + share * n, 3) for w, n in ends)
+        return low, high
+
+    return StepLimits(x_m=blend("x_m"), y_m=blend("y_m"), yaw_rad=blend("yaw_rad"))
+
+
+def kinds_over(limits: StepLimits, stance_width_m: float, possible: Possible) -> np.ndarray:
+    """Steps (K, 3) on a grid over the limits that passes through stepping in place."""
+
+    def axis(ends: tuple[float, float], middle: float, below: int, above: int) -> np.ndarray:
+        low, high = np.linspace(ends[0], middle, below + 1), np.linspace(middle, ends[1], above + 1)
+        return np.unique(np.concatenate([low, high]))
+
+    grid = np.array(
+        [
+            (x_m, y_m, yaw_rad)
+            for yaw_rad in axis(limits.yaw_rad, 0.0, 2, 2)
+            for y_m in axis(limits.y_m, stance_width_m, 1, 2)
+            for x_m in axis(limits.x_m, 0.0, 2, 3)
+        ]
+    )
+    return grid[possible(grid)]

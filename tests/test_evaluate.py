@@ -1,0 +1,231 @@
+"""The command `evaluate`: every section end to end, what a cut-off run keeps, what is stored."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from app import evaluate, evaluate_limits, evaluate_modes
+from app.cli import main
+from app.evaluate_limits import limits_from, measured_of, sole_errors_m
+from app.evaluate_modes import mode_row
+from app.evaluate_options import SECTION_NAMES, EvaluateOptions
+from app.evaluate_parts import Bench, finite
+from app.evaluate_sections import SECTIONS
+from app.evaluation_text import report, table
+from app.report_figures import FIGURES, plain_joint, write_figures
+from controller.assess import ModeResult
+from controller.follower import load_measured, measured_path
+from controller.policy import POLICY_FOLDER, load_policy
+from controller.step_region import StepWalks
+from planner.model import FootShape
+from sim.robots import get_robot
+
+ROBOT = get_robot("jvrc1")
+WORDS = ["evaluate", "--episodes", "1", "--workers", "2"]
+LIMITS = {"x_m": [-0.1, 0.3], "y_m": [0.17, 0.3], "yaw_rad": [-0.1, 0.3], "z_m": [-0.01, 0.01]}
+
+
+def stairs_row(way: str, rise_m: float, success: float, kind: str = "none", noise: float = 0.0):
+    """A row of the section stairs, made up."""
+    return {
+        "way": way,
+        "rise_m": rise_m,
+        "noise_kind": kind,
+        "noise": noise,
+        "episodes": 100,
+        "success": success,
+        "length_s_mean": 10 * success,
+    }
+
+
+@pytest.fixture
+def measured_results():
+    """Parts of the sections stairs and limits, made up."""
+    kinds = [
+        {"x_m": x, "y_m": y, "yaw_rad": yaw, "success": 0.9 + x, "error_m_p95": 0.01 + abs(x)}
+        for x in (-0.1, 0.0, 0.1)
+        for y in (0.2, 0.3)
+        for yaw in (0.0, 0.3)
+    ]
+    return {
+        "stairs-a": stairs_row("up", 0.10, 0.99),
+        "stairs-b": stairs_row("down", 0.10, 0.97),
+        "stairs-c": stairs_row("up", 0.15, 0.985),
+        "stairs-d": stairs_row("up", 0.20, 0.5),
+        "stairs-e": stairs_row("down", 0.10, 1.0, "joint", 3.0),
+        "limits-map": {"walks_each": 3, "kinds": kinds},
+        "limits-region": {
+            "walks_each": 100,
+            "tried": [{"limits": LIMITS, "success": 0.8}, {"limits": LIMITS, "success": 0.995}],
+            "found": True,
+            "landings": 900,
+            "sole_error_m_p99": 0.01234,
+        },
+        "limits-sway": {
+            "walks": 9,
+            "body_beyond_box_m": {"head": [-0.2, -0.1], "hips": [0.05, 0.0701]},
+        },
+    }
+
+
+def bench(episodes: int = 100) -> Bench:
+    return Bench(robot=ROBOT, policy=load_policy(ROBOT), episodes=episodes, seed=1)
+
+
+@pytest.mark.slow
+def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
+    few = [(0.0, 0.2, 0.0), (0.3, 0.2, 0.0), (0.0, 0.2, 0.3)]
+    monkeypatch.setattr(evaluate_limits, "kinds_over", lambda *_: np.array(few))
+    monkeypatch.setattr(evaluate_modes, "TREAD_NOISE_M", (0.03,))
+    monkeypatch.setattr(evaluate_modes, "JOINT_NOISE_DEG", (3.0,))
+    monkeypatch.setattr(evaluate_modes, "LONG_WALK_S", 5.0)
+    stored = measured_path(None, ROBOT)
+    before = stored.read_bytes() if stored.exists() else None
+    assert main([*WORDS, "--json", "--out", str(tmp_path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert set(SECTION_NAMES) < set(document)
+    assert [row["way"] for row in document["stairs"][:2]] == ["up", "down"]
+    assert len(document["gait"]["joints"]) == 12
+    assert max(document["gait"]["force_peak"]) > 0.9
+    assert document["gait"]["contact_agreement"] > 0.9
+    assert len(document["push"]) == 4
+    forward = [row for row in document["energy"] if row["kind"] == "forward"]
+    assert forward[-1]["speed_m_s"] > forward[0]["speed_m_s"] > 0.01
+    assert document["long"]["walks"] == 1
+    assert len(document["limits"]["map"]["kinds"]) == 3
+    text = (tmp_path / "report.md").read_text()
+    for name in FIGURES:
+        assert f"]({name})" in text
+        assert cv2.imread(str(tmp_path / name)) is not None
+    # One walk does not tell 99 %: what is stored beside the weights stays as it is.
+    assert (stored.read_bytes() if stored.exists() else None) == before
+
+
+def test_a_run_that_is_cut_off_goes_on_where_it_was(tmp_path, capsys, monkeypatch):
+    words = [*WORDS, "--sections", "modes", "--json", "--out", str(tmp_path)]
+    asked = []
+
+    def assess(robot, policy, mode, **settings):
+        asked.append(mode)
+        if len(asked) == 3:
+            raise KeyboardInterrupt
+        return made_up(mode or "mixed")
+
+    monkeypatch.setattr(evaluate_modes, "assess_mode", assess)
+    assert main(words) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
+    rows = json.loads((tmp_path / "evaluation.json").read_text())["modes"]
+    assert [row["mode"] for row in rows] == ["forward", "backward"]
+    assert "| backward |" in (tmp_path / "report.md").read_text()
+    assert main(words) == 0
+    assert asked[2] == "sideways"
+    assert asked[3:5] == ["sideways", "curved"]
+    assert len(asked) == 3 + 8
+    # The same again has nothing left to do; another seed has all.
+    assert main(words) == 0
+    assert len(asked) == 11
+    assert main([*words, "--seed", "2"]) == 0
+    assert len(asked) == 21
+
+
+def made_up(mode: str) -> ModeResult:
+    return ModeResult(
+        mode=mode,
+        episodes=1,
+        falls=0,
+        episode_ticks=np.array([400]),
+        landing_error_m=np.array([0.05, 0.01, 0.02]),
+        landing_heading_error_rad=np.radians([1.0, 3.0, 2.0]),
+        landing_offset_m=np.array([[0.03, -0.04], [-0.01, 0.0], [0.0, 0.02]]),
+    )
+
+
+def test_a_mode_in_numbers():
+    row = mode_row(made_up("forward"))
+    assert row["error_m_median"] == 0.02
+    assert row["heading_deg_median"] == pytest.approx(2.0)
+    assert (row["along_m_median"], row["across_m_median"]) == (0.01, 0.02)
+    assert row["error_m_quantiles"][0] == 0.01
+    assert row["error_m_quantiles"][25] == 0.02
+    assert row["error_m_quantiles"][50] == 0.05
+    none = made_up("standing")
+    none = ModeResult(
+        **{
+            **vars(none),
+            "landing_error_m": np.zeros(0),
+            "landing_heading_error_rad": np.zeros(0),
+            "landing_offset_m": np.zeros((0, 2)),
+        }
+    )
+    assert finite(mode_row(none))["along_m_p95"] is None
+    assert finite(mode_row(none))["error_m_median"] is None
+
+
+def test_what_planning_is_to_know_by_hand(measured_results):
+    found = measured_of(bench(), measured_results)
+    assert found is not None
+    assert found.limits == limits_from({**LIMITS, "z_m": [-0.01, 0.10]})
+    assert found.foot_margin_m == 0.013
+    assert found.body_margin_m == 0.071
+    assert found.evidence["widest_shape"] == "hips"
+    without = {name: r for name, r in measured_results.items() if not name.startswith("stairs")}
+    flat = measured_of(bench(), without)
+    assert flat is not None
+    assert flat.limits.z_m == ROBOT.step_model.limits.z_m
+    failed = measured_results["limits-region"] | {"found": False}
+    assert measured_of(bench(), measured_results | {"limits-region": failed}) is None
+    assert measured_of(bench(), {}) is None
+
+
+def test_a_sole_that_is_off_and_turned():
+    """3 cm off, turned by 0.1 rad; a corner of a sole of 0.3 x 0.4 m is 0.25 m from its middle."""
+    walks = StepWalks(
+        upright=np.array([True]),
+        robot=np.array([0]),
+        error_m=np.array([0.03]),
+        heading_error_rad=np.array([0.1]),
+    )
+    assert sole_errors_m(walks, FootShape(length_m=0.4, width_m=0.3)) == pytest.approx([0.055])
+
+
+def test_stored_beside_the_weights_from_enough_episodes_on(tmp_path, measured_results, capsys):
+    for ending in (".safetensors", ".json"):
+        shutil.copy(POLICY_FOLDER / f"jvrc1{ending}", tmp_path / f"own{ending}")
+    options = EvaluateOptions(out=tmp_path, policy=tmp_path / "own.safetensors")
+    for episodes, name in ((99, None), (100, "own.measured.json")):
+        measured = measured_of(bench(episodes), measured_results)
+        assert evaluate._store(options, bench(episodes), measured) == name
+        assert load_measured(ROBOT, options.policy) == (measured if name else None)
+    assert "99 episodes are too few" in capsys.readouterr().err
+
+
+def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path, measured_results):
+    parts = [part for name in ("stairs", "limits") for part in SECTIONS[name](bench())]
+    document = evaluate.document_of(bench(), parts, measured_results, "own.measured.json")
+    document["stairs"] = [r for name, r in measured_results.items() if name.startswith("stairs")]
+    write_figures(document, tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"stairs.png", "limits.png"}
+    text = report(document)
+    assert "| 10 cm | none | 100 | 99.0 %, 9.9 s | 97.0 %, 9.7 s | trained for |" in text
+    assert "| 10 cm | joints, degrees ±3 | 100 | - | 100.0 %, 10.0 s | withstood |" in text
+    assert "up to 10 cm, a foot margin of 1.3 cm" in text
+    assert "Stored: own.measured.json." in text
+
+
+def test_sections_are_chosen_by_name(capsys, tmp_path):
+    assert tuple(SECTIONS) == SECTION_NAMES
+    assert main([*WORDS, "--sections", "modes,walks", "--out", str(tmp_path)]) == 2
+    assert "'walks' is not one of modes, stairs" in capsys.readouterr().err
+
+
+def test_names_of_joints_and_tables():
+    names = ("L_HIP_R", "left_hip_roll_joint", "LCR", "LKP", "left_knee", "LAP")
+    assert [plain_joint(name) for name in names] == [
+        *("hip roll", "hip roll", "hip roll", "knee", "knee", "ankle pitch"),
+    ]
+    assert table(("a", "b"), [("1", "2")]) == ["| a | b |", "|---|---|", "| 1 | 2 |"]

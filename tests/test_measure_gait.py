@@ -1,0 +1,180 @@
+"""Numbers of an evaluation's gait sections, each on a record small enough to work by hand."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from controller.cursor import StepCursor, Track
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.gait_record import WalkRecord, repeated
+from controller.measure_gait import (
+    asymmetry,
+    contact_agreement,
+    cost_of_transport,
+    distance_m,
+    joint_loads,
+    mechanical_work_j,
+    over_cycle,
+    peak_weights,
+    speed_m_s,
+    swing_lags,
+)
+from controller.push import DIRECTIONS, Push
+from sim.batch import SimBatch
+from sim.robots import get_robot
+from sim.scene import build_scene
+
+ROBOT = get_robot("jvrc1")
+WEIGHT_N = ROBOT.mass_kg * 9.81
+
+
+def record(ticks: int, substeps: int = 5, robots: int = 1, **arrays: np.ndarray) -> WalkRecord:
+    """Robots at rest, without ground under them, but for the arrays that are given."""
+    steps, joints = ticks * substeps, len(ROBOT.joints)
+    values = {
+        "torque_nm": np.zeros((robots, steps, joints)),
+        "joint_speed_rad_s": np.zeros((robots, steps, joints)),
+        "ground_force_n": np.zeros((robots, steps, 2)),
+        "indicator": np.zeros((robots, ticks, 2)),
+        "cycle_tick": np.full((robots, ticks), -1),
+        "pelvis_xy_world": np.zeros((robots, ticks, 2)),
+        "upright": np.ones(robots, dtype=bool),
+    }
+    return WalkRecord(timestep_s=0.001, **(values | arrays))
+
+
+def test_peaks_are_of_either_sign_and_over_all_robots():
+    torque, speed = np.zeros((2, 4, 12)), np.zeros((2, 4, 12))
+    torque[0, :, 0], torque[1, :, 0] = [3, -5, 1, 1], [3, 5, -1, 1]
+    speed[1, 2, 0] = -2.0
+    first, second = joint_loads(record(4, 1, 2, torque_nm=torque, joint_speed_rad_s=speed), ROBOT)[
+        :2
+    ]
+    assert first["joint"] == ROBOT.joints[0].name
+    assert first["peak_torque_nm"] == 5.0
+    assert first["rms_torque_nm"] == pytest.approx(3.0)
+    assert first["peak_speed_rad_s"] == 2.0
+    assert first["torque_limit_nm"] == ROBOT.joints[0].torque_limit_nm
+    assert second["peak_torque_nm"] == second["rms_speed_rad_s"] == 0.0
+
+
+def test_asymmetry_by_hand():
+    assert asymmetry(3.0, 1.0) == asymmetry(1.0, 3.0) == 1.0
+    assert asymmetry(2.0, 2.0) == asymmetry(0.0, 0.0) == 0.0
+    assert asymmetry(0.0, 7.0) == 2.0
+
+
+def test_work_counts_braking_and_cost_is_work_per_weight_and_way():
+    torque, speed = np.zeros((1, 100, 12)), np.zeros((1, 100, 12))
+    torque[..., 3], speed[..., 3] = 10.0, -2.0  # brakes at 20 W
+    torque[..., 8], speed[..., 8] = 5.0, 1.0  # drives at 5 W
+    way = np.zeros((1, 20, 2))
+    way[0, 1:] = [[3.0, 4.0]] * 19
+    walk = record(20, torque_nm=torque, joint_speed_rad_s=speed, pelvis_xy_world=way)
+    assert mechanical_work_j(walk) == pytest.approx([2.5])
+    assert distance_m(walk) == pytest.approx([5.0])
+    assert speed_m_s(walk) == pytest.approx([5.0 / (19 * CONTROL_PERIOD_S)])
+    assert cost_of_transport(np.array([981.0]), 50.0, np.array([4.0])) == pytest.approx([0.5])
+
+
+def test_force_is_told_in_weights():
+    force = np.zeros((1, 5, 2))
+    force[0, 3] = 1.5 * WEIGHT_N, 0.25 * WEIGHT_N
+    assert peak_weights(record(1, ground_force_n=force), ROBOT.mass_kg) == pytest.approx(
+        [1.5, 0.25]
+    )
+
+
+def test_values_are_gathered_by_phase():
+    """Two cycles of 4 ticks, whose values are 10 and 20 in the first half, 0 in the second."""
+    ticks = GaitTicks(swing=1, double_support=1)
+    phase = np.array([[-1, 0, 1, 2, 3, 0, 1, 2, 3]])
+    values = np.zeros((1, 18, 2))
+    values[0, 0:2] = 99.0  # standing: does not count
+    values[0, 2:6, 0], values[0, 10:14, 0] = 10.0, 20.0
+    values[0, 2:, 1] = 7.0
+    cycle = over_cycle(record(9, 2, cycle_tick=phase), values, ticks, bins=2)
+    assert cycle.mean.tolist() == [[15.0, 7.0], [0.0, 7.0]]
+    assert cycle.low[0, 0] == pytest.approx(10.5)
+    assert cycle.high[0, 0] == pytest.approx(19.5)
+    assert cycle.time_s == pytest.approx([0.025, 0.075])
+
+
+def test_contact_is_compared_where_the_indicator_is_settled():
+    indicator = np.array([[[1.0, -1.0], [1.0, 0.5], [-1.0, 1.0]]])
+    force = np.zeros((1, 15, 2))
+    force[0, :10, 0] = WEIGHT_N  # left bears in the first two ticks, right nowhere
+    walk = record(3, indicator=indicator, ground_force_n=force)
+    # Settled are left 3 ticks and right 2; only the right foot's last tick is not as asked.
+    assert contact_agreement(walk, ROBOT.mass_kg) == pytest.approx(4 / 5)
+    assert np.isnan(contact_agreement(record(3), ROBOT.mass_kg))
+
+
+def test_lags_of_a_swing_worked_by_hand():
+    """Swing of 4 ticks of 5 ms: lifts 2 ms late, touches down 2 ms early."""
+    ticks = GaitTicks(swing=4, double_support=2)
+    phase = np.array([list(range(12))])
+    force = np.full((1, 60, 2), WEIGHT_N)
+    force[0, 2:18, 1] = 0.0  # right
+    force[0, 30 + 2 : 30 + 18, 0] = 0.0  # left
+    walk = record(12, cycle_tick=phase, ground_force_n=force)
+    lift_s, touch_s = swing_lags(walk, ROBOT.mass_kg, ticks)
+    assert (lift_s, touch_s) == pytest.approx((0.002, -0.002))
+    assert np.isnan(swing_lags(record(12), ROBOT.mass_kg, ticks)).all()
+
+
+def test_beginning_and_fallen_robots_are_left_out():
+    walk = record(4, 5, 3, upright=np.array([True, False, True]))
+    assert walk.substeps == 5
+    assert walk.of_upright().torque_nm.shape == (2, 20, 12)
+    later = walk.later_than(3 * CONTROL_PERIOD_S)
+    assert later.indicator.shape == (3, 1, 2)
+    assert later.torque_nm.shape == (3, 5, 12)
+
+
+def test_feet_take_turns_where_a_walk_leads_sideways():
+    assert repeated((0.3, 0.2, 0.0), 0.2, 2).tolist() == [[0.3, 0.2, 0.0]] * 2
+    assert repeated((0.0, 0.3, 0.0), 0.2, 3).tolist() == [
+        [0.0, 0.3, 0.0],
+        [0.0, 0.2, 0.0],
+        [0.0, 0.3, 0.0],
+    ]
+
+
+def test_a_push_gives_the_momentum_that_it_is_told_to():
+    push = Push(impulse_ns=12.0, direction=DIRECTIONS["from the right"], begins_tick=1)
+    assert [push.acts(tick) for tick in range(7)] == [False, *[True] * 4, False, False]
+    scene = build_scene(ROBOT, timestep_s=0.001)
+    sim = SimBatch(scene, count=1, control_period_s=CONTROL_PERIOD_S)
+    sim.qpos[0, 2] += 2.0  # in the air, where nothing else pushes sideways
+    for tick in range(7):
+        sim.push(np.array([push.force_world_n if push.acts(tick) else (0.0, 0.0, 0.0)]))
+        sim.step(ROBOT.half_sitting_rad[None])
+    data = mujoco.MjData(scene.model)
+    data.qpos[:], data.qvel[:] = sim.qpos[0], sim.qvel[0]
+    mujoco.mj_forward(scene.model, data)
+    mujoco.mj_subtreeVel(scene.model, data)
+    momentum = ROBOT.mass_kg * data.body("pelvis").subtree_linvel
+    # The integrator is implicit in the joints' damping: that costs some per mille.
+    assert momentum[:2] == pytest.approx([0.0, 12.0], abs=0.1)
+
+
+def test_stances_before_and_after_each_step():
+    ticks = GaitTicks(swing=1, double_support=1)
+    cursor = StepCursor(ticks, 1, 4)
+    poses = np.zeros((5, 4))
+    poses[:, 0] = range(5)
+    cursor.follow(0, Track(side=np.array([0, 1, 0, 1, 0]), pose_world=poses))
+    seen = []
+    for _ in range(8):
+        seen.append(cursor.stances[0, :, :, 0].astype(int).tolist())
+        cursor.advance()
+    standing, first, second = [[0, 1], [0, 1]], [[0, 1], [1, 2]], [[1, 2], [2, 3]]
+    assert seen[0] == standing
+    assert seen.count(first) == seen.count(second) == 2
+    assert seen[-1] == [[2, 3], [3, 4]]
+    while not cursor.arrived[0]:
+        cursor.advance()
+    assert cursor.stances[0, :, :, 0].tolist() == [[3, 4], [3, 4]]
