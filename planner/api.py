@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.ara import Request, Result, build_heuristic
 from planner.backends import backend
 from planner.collision import terrain_of
 from planner.endpoints import suggestion, what_blocks, what_obstructs
@@ -19,9 +18,10 @@ from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
 from planner.refine import refine
-from planner.search import Heuristic
-from planner.space import Space, build_space
+from planner.request import Request, Result
+from planner.space import build_space
 from planner.tables import tables_of
+from planner.toward import Toward
 
 FloatArray = NDArray[np.float64]
 _ALREADY_THERE_M = 1e-6
@@ -50,8 +50,8 @@ class Planner:
         self.model = model
         self.options = options or PlannerOptions()
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
-        self._table, self._potential, self._endgame, self._exits = tables_of(model)
-        self._toward: tuple[Pose, Space, Heuristic] | None = None
+        self._tables = tables_of(model)
+        self._toward: tuple[Pose, Toward] | None = None
 
     def plan(
         self,
@@ -150,13 +150,14 @@ class Planner:
 
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
         if self._toward is None or self._toward[0] != query.goal:
-            space = build_space(self.grid, self._terrain, self.model, self._table, query.goal)
-            heuristic = build_heuristic(space, self._potential, self._endgame, self._exits)
-            self._toward = query.goal, space, heuristic
+            steps = self._tables.steps
+            space = build_space(self.grid, self._terrain, self.model, steps, query.goal)
+            self._toward = (
+                query.goal,
+                Toward(space=space, model=self.model, tables=self._tables),
+            )
         request = Request(
-            space=self._toward[1],
-            model=self.model,
-            heuristic=self._toward[2],
+            toward=self._toward[1],
             feet_lattice=_to_lattice(query.start_feet_world, query.goal),
             feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
             stands=self._stands_too_near(query),

@@ -1,30 +1,26 @@
-"""One ARA* run: seeds, heuristic, rounds of falling epsilon, and the plan or why there is none."""
+"""One ARA* run: rounds of falling epsilon, limits, floods, and the plan or why there is none."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner import search
-from planner.body_path import search_body_path
-from planner.connect import first_steps
-from planner.endgame import Endgame
-from planner.exits import SECTORS, Exits
 from planner.flood import Flood, Verdict, new_flood, spread
-from planner.guide import Potential
-from planner.lattice import MICRO, final_cost_um, foot_position
-from planner.model import Side, StepModel
+from planner.lattice import MICRO
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
-from planner.search import Heuristic, Tree
-from planner.space import Space
+from planner.quick import QuickPath, quick_path
+from planner.request import Request, Result, failure, first_nodes, found, no_first_step
+from planner.search import Tree
+from planner.space import Int64s
+from planner.task import Task, backward_task, forward_task
 
-FloatArray = NDArray[np.float64]
-Int64s = NDArray[np.int64]
+_QUICK = -1  # in place of a node: the plan that was found before the search proper
 _BUDGET = 4096  # expansions between two looks at the clock
 # A search that has no plan after so many expansions takes turns with the floods from start and
 # goal, which may find that there is none: so many expansions against so many nodes of each flood,
@@ -32,136 +28,38 @@ _BUDGET = 4096  # expansions between two looks at the clock
 _PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """A search on the lattice.
-
-    feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): how high.
-    """
-
-    space: Space
-    model: StepModel
-    heuristic: Heuristic
-    feet_lattice: FloatArray
-    feet_m: FloatArray
-    stands: bool
-    first_side: Side | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason.
-
-    z_m (N,): height of the ground under each step.
-    """
-
-    status: PlanStatus
-    reason: str = ""
-    side: NDArray[np.int8]
-    pose_lattice: FloatArray
-    z_m: FloatArray
-    cost_m: float = 0.0
-    epsilon: float = math.inf
-    expansions: int = 0
-    time_to_first_s: float = 0.0
-
-
-def _failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
-    return Result(
-        status=status,
-        reason=reason,
-        side=np.zeros(0, np.int8),
-        pose_lattice=np.zeros((0, 3)),
-        z_m=np.zeros(0),
-        expansions=expansions,
-    )
-
-
 def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
-    """Searches until epsilon is proven or a limit of the options is reached.
+    """Searches from the start until epsilon is proven or a limit of the options is reached.
 
     began: time.perf_counter() of the request's arrival, from which times count.
     """
-    nodes, costs_um = _seeds(request)
+    nodes, costs_um = first_nodes(request)
     if not len(nodes):
-        side = "" if request.first_side is None else f" with the {request.first_side.name.lower()}"
-        return _failure(
-            PlanStatus.NO_PATH, f"start: no first step{side} is free of obstacles and in limits"
-        )
-    heuristic = request.heuristic
-    if not _can_reach(request.space, heuristic, nodes):
-        return _failure(
-            PlanStatus.NO_PATH,
-            "the goal cannot be reached: obstacles enclose the start or the goal "
-            "for a body of this width",
-        )
-    tree = _new_tree(request, nodes)
-    search.seed(request.space, heuristic, tree, nodes, costs_um)
-    return _Run(request, options, began, heuristic, tree, nodes).result()
+        return no_first_step(request)
+    run = Run(request, options, began)
+    quick = quick_path(request, nodes, costs_um, options)
+    if quick is not None:
+        run.take(quick)
+        if options.stop_at_first or run.proven <= options.final_epsilon:
+            return run.quick_plan()
+    return run.result(forward_task(request, nodes, costs_um))
 
 
-def _seeds(request: Request) -> tuple[Int64s, Int64s]:
-    """Nodes and costs of the first steps with either foot, or with the one asked for."""
-    sides = Side if request.first_side is None else (request.first_side,)
-    # A robot that stands too near to an obstacle must be able to leave.
-    margin_m = 0.0 if request.stands else request.model.body_margin_m
-    found = [
-        first_steps(
-            request.space,
-            request.model,
-            request.feet_lattice[side.other],
-            side,
-            margin_m,
-            round(float(request.feet_m[side.other]) * MICRO),
-        )
-        for side in sides
-    ]
-    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
+    """One search with the heuristic as it is, until the least cost is proven."""
+    nodes, costs_um = first_nodes(request)
+    if not len(nodes):
+        return no_first_step(request)
+    options = replace(options, epsilon=1.0, final_epsilon=1.0, improve_expansions=None)
+    return Run(request, options, began).result(forward_task(request, nodes, costs_um))
 
 
-def build_heuristic(
-    space: Space, potential: Potential, endgame: Endgame, exits: Exits
-) -> Heuristic:
-    """The heuristic toward the goal of a space, good for any start."""
-    path = search_body_path(space, potential, endgame)
-    return Heuristic(
-        path.cost_um,
-        path.frontier_um,
-        (potential.body_row * space.cols + potential.body_col).reshape(-1),
-        potential.potential_um.reshape(-1),
-        endgame.cost_um,
-        endgame.cap_um,
-        exits.turn_um,
-        np.zeros((space.cols * space.rows, SECTORS), np.int32),
-        exits.rim,
-        exits.radius_cells,
-    )
-
-
-def _can_reach(space: Space, heuristic: Heuristic, nodes: Int64s) -> bool:
-    """Whether a path of the body leads to the goal from any of the nodes (n,)."""
-    rows, cells = nodes % (2 * space.headings), nodes // (2 * space.headings)
-    return bool(np.any(heuristic.cost_um[cells + heuristic.body_cell[rows]] > 0))
-
-
-def _new_tree(request: Request, seeds: Int64s) -> Tree:
-    space = request.space
-    nodes = space.cols * space.rows * space.headings * 2
-    origin = (space.origin_row * space.cols + space.origin_col) * space.headings * 2
-    scalars = np.zeros(search.SCALARS, np.int64)
-    scalars[search.BEST_UM] = search.NO_COST
-    entries = (1 << 16) + len(seeds)
-    return Tree(
-        cost_um=np.zeros(nodes, np.int32),
-        before=np.zeros(nodes, np.int32),
-        round=np.zeros(nodes, np.uint8),
-        entry_node=np.empty(entries, np.int32),
-        entry_next=np.empty(entries, np.int32),
-        head=np.full(search.BUCKETS + 1, -1, np.int32),
-        goals=np.array([origin, origin + 1]),
-        final_um=final_cost_um(request.model),
-        scalars=scalars,
-    )
+def plan_backward(request: Request, options: PlannerOptions, began: float) -> Result:
+    """As `plan_ara`, from the goal feet to the first steps."""
+    nodes, costs_um = first_nodes(request)
+    if not len(nodes):
+        return no_first_step(request)
+    return Run(request, options, began).result(backward_task(request, nodes, costs_um))
 
 
 _ENCLOSED = {
@@ -170,58 +68,90 @@ _ENCLOSED = {
 }
 
 
-class _Run:
+class Run:
     """The rounds of one search and the limits on them."""
 
-    def __init__(
-        self,
-        request: Request,
-        options: PlannerOptions,
-        began: float,
-        heuristic: Heuristic,
-        tree: Tree,
-        seeds: Int64s,
-    ) -> None:
+    def __init__(self, request: Request, options: PlannerOptions, began: float) -> None:
         self.request = request
         self.options = options
         self.began = began
-        self.heuristic = heuristic
-        self.tree = tree
         self.time_to_first_s = 0.0
         self.least_um = 0
         self.proven = math.inf
         self.first_expansions = 0
         self.verdict = Verdict.OPEN
-        self._seeds = seeds
+        self.task: Task
+        self.tree: Tree
+        self._quick: QuickPath | None = None
         self._flood: Flood | None = None
         self._flood_turn = _FLOOD_TURN
 
-    def result(self) -> Result:
-        """Runs all rounds and reads the plan from the tree."""
+    def take(self, quick: QuickPath) -> None:
+        """Takes over a plan that was found before the search proper."""
+        self._quick = quick
+        self.time_to_first_s = time.perf_counter() - self.began
+        self.proven = quick.cost_um / min(quick.cost_um, max(quick.least_um, 1))
+
+    def quick_plan(self) -> Result:
+        """The plan that was taken over."""
+        assert self._quick is not None
+        return self._found(self._quick.nodes, self._quick.cost_um, self._quick.expansions)
+
+    def result(self, task: Task, tree: Tree | None = None) -> Result:
+        """Runs all rounds, from a fresh tree unless one is given, and reads the plan from it."""
+        self.task, self.tree = task, tree or task.tree()
+        scalars = self.tree.scalars
+        if self._quick is not None and self._quick.cost_um < scalars[search.BEST_UM]:
+            scalars[search.BEST_UM], scalars[search.BEST_NODE] = self._quick.cost_um, _QUICK
+        if not task.may_connect:
+            return failure(
+                PlanStatus.NO_PATH,
+                "the goal cannot be reached: obstacles enclose the start or the goal "
+                "for a body of this width",
+            )
         epsilon = self.options.epsilon
         while self._round(epsilon):
             epsilon = _next_epsilon(epsilon)
-        expansions = self._expansions
         if self._best_um < search.NO_COST:
-            self._tighten_bound()
-            return self._plan(expansions)
+            return self._best_plan()
+        expansions = self._expansions
         if self.verdict in _ENCLOSED:
             assert self._flood is not None
             poses = int(self._flood.ends[1] + self._flood.ends[3])
             reason = f"the goal cannot be reached: {_ENCLOSED[self.verdict]} ({poses} poses tried)"
-            return _failure(PlanStatus.NO_PATH, reason, expansions)
+            return failure(PlanStatus.NO_PATH, reason, expansions)
         if self._limit_reached():
             self._tighten_bound()
             reason = (
                 f"no plan found within {self._limit_reached()}; "
                 f"any plan costs at least {self.least_um / MICRO:.2f} m"
             )
-            return _failure(PlanStatus.TIMED_OUT, reason, expansions)
+            return failure(PlanStatus.TIMED_OUT, reason, expansions)
         reason = (
             "the goal cannot be reached: all poses that steps lead to were searched "
             f"({expansions} expansions)"
         )
-        return _failure(PlanStatus.NO_PATH, reason, expansions)
+        return failure(PlanStatus.NO_PATH, reason, expansions)
+
+    def _best_plan(self) -> Result:
+        self._tighten_bound()
+        last = int(self.tree.scalars[search.BEST_NODE])
+        if last == _QUICK:
+            assert self._quick is not None
+            nodes = self._quick.nodes
+        else:
+            nodes = self.task.in_order(search.trace(self.tree, last))
+        return self._found(nodes, self._best_um, self._expansions)
+
+    def _found(self, nodes: Int64s, cost_um: int, expansions: int) -> Result:
+        return found(
+            self.request,
+            nodes,
+            cost_um=cost_um,
+            epsilon=self.proven,
+            expansions=expansions,
+            time_to_first_s=self.time_to_first_s,
+        )
 
     @property
     def _best_um(self) -> int:
@@ -229,11 +159,12 @@ class _Run:
 
     @property
     def _expansions(self) -> int:
-        return int(self.tree.scalars[search.EXPANSIONS])
+        quick = 0 if self._quick is None else self._quick.expansions
+        return quick + int(self.tree.scalars[search.EXPANSIONS])
 
     def _round(self, epsilon: float) -> bool:
         """One search with a weight; whether another one may follow."""
-        space, heuristic = self.request.space, self.heuristic
+        space, heuristic = self.task.space, self.task.heuristic
         self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
         self._note_bound()
         if self.proven <= self.options.final_epsilon:
@@ -262,10 +193,15 @@ class _Run:
         """Whether the floods, if it is their turn, find that no steps lead to the goal."""
         if self._may_be_enclosed() and self._expansions >= _PATIENCE:
             if self._flood is None:
-                self._flood = new_flood(self.request.space, self._seeds, self.tree.goals)
-            self._flood, self.verdict = spread(self.request.space, self._flood, self._flood_turn)
+                self._flood = self._new_flood()
+            self._flood, self.verdict = spread(self.task.space, self._flood, self._flood_turn)
             self._flood_turn = min(2 * self._flood_turn, _FLOOD_TURN_MOST)
         return self.verdict in _ENCLOSED
+
+    def _new_flood(self) -> Flood:
+        task = self.task
+        ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
+        return new_flood(task.space, *ends)
 
     def _may_be_enclosed(self) -> bool:
         return self.verdict is Verdict.OPEN and self._best_um == search.NO_COST
@@ -273,7 +209,7 @@ class _Run:
     def _tighten_bound(self) -> None:
         """Takes over what the open states prove now that the search stopped in mid-round."""
         if self.proven > 1.0:
-            space, heuristic = self.request.space, self.heuristic
+            space, heuristic = self.task.space, self.task.heuristic
             self.least_um = int(search.begin_round(space, heuristic, self.tree, 1.0))
             self._note_bound()
 
@@ -311,33 +247,6 @@ class _Run:
         if limit_s is not None and time.perf_counter() - self.began >= limit_s:
             return f"{limit_s:g} s"
         return ""
-
-    def _plan(self, expansions: int) -> Result:
-        space, model = self.request.space, self.request.model
-        last = int(self.tree.scalars[search.BEST_NODE])
-        nodes = np.array(search.trace(self.tree, last))
-        other = self.tree.goals[1 - (last & 1)]
-        nodes = np.append(nodes, other)
-        side = (nodes & 1).astype(np.int8)
-        heading = (nodes >> 1) % space.headings
-        cell = (nodes >> 1) // space.headings
-        col = (cell % space.cols - space.origin_col).astype(float)
-        row = (cell // space.cols - space.origin_row).astype(float)
-        position = np.array(
-            [foot_position(c, r, s, model) for c, r, s in zip(col, row, side, strict=True)]
-        )
-        yaw_rad = heading * (2 * np.pi / space.headings)
-        cost_um = int(self.tree.cost_um[last]) + self.tree.final_um
-        return Result(
-            status=PlanStatus.FOUND,
-            side=side,
-            pose_lattice=np.column_stack([position, yaw_rad]),
-            z_m=space.node_um[nodes] / MICRO if len(space.node_um) else np.zeros(len(nodes)),
-            cost_m=cost_um / MICRO,
-            epsilon=self.proven,
-            expansions=expansions,
-            time_to_first_s=self.time_to_first_s,
-        )
 
 
 def _next_epsilon(epsilon: float) -> float:

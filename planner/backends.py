@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from planner.ara import Request, Result, plan_ara
+from planner.ara import plan_ara, plan_astar, plan_backward
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
+from planner.request import Request, Result
 
 # Takes the request, the options and the time.perf_counter() of the request's arrival.
 Backend = Callable[[Request, PlannerOptions, float], Result]
@@ -17,4 +18,4 @@ def backend(name: str) -> Backend:
         from planner.sampling import plan_by_sampling
 
         return plan_by_sampling
-    return {"ara": plan_ara}[name]
+    return {"ara": plan_ara, "astar": plan_astar, "backward": plan_backward}[name]

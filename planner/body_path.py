@@ -17,6 +17,7 @@ from planner.space import Space, to_grid
 # Cost 0 means not reached, so costs are stored one micrometre up.
 _CLOSED_CELL = -1
 _NOWHERE_UM = 1 << 30
+_MARGIN_MOVES = 8
 
 
 class BodyPath(NamedTuple):
@@ -27,6 +28,169 @@ class BodyPath(NamedTuple):
 
     cost_um: NDArray[np.int32]
     frontier_um: int
+
+
+class Strip(NamedTuple):
+    """Path costs (rows * cols,) as in `BodyPath`, exact where they are low enough to be settled.
+
+    ahead_um: cost of the straight way to the start, by which the search was drawn there.
+    settled_um: every cell whose cost and straight way add up to less has its least cost; no cell
+    that was not come to costs less than this, its straight way taken off.
+    """
+
+    cost_um: NDArray[np.int32]
+    settled_um: int
+    start: tuple[int, int]
+    slack_um: int
+    cols: int
+    straight_um: tuple[int, int, int]
+
+    def least_um(self, cells: NDArray[np.int64]) -> NDArray[np.int64]:
+        """What a path from each cell (n,) costs at least."""
+        cost_um = self.cost_um[cells].astype(np.int64) - 1
+        away_um = _all_ahead(cells, self.cols, self.start, self.straight_um, self.slack_um)
+        unsettled = (cost_um < 0) | (cost_um + away_um >= self.settled_um)
+        return np.where(unsettled, np.maximum(self.settled_um - away_um, 0), cost_um)
+
+
+def path_toward(space: Space, guide: Potential, cells: NDArray[np.int64]) -> Strip:
+    """Path costs from the goal in the strip of cells through which A* looks for the cells (n,)."""
+    d_cell = MOVES[:, 1] * space.cols + MOVES[:, 0]
+    goal = space.origin_row * space.cols + space.origin_col
+    middle = (
+        round(float(np.median(cells % space.cols))),
+        round(float(np.median(cells // space.cols))),
+    )
+    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
+    straight_um = level_um, diagonal_um, knight_um
+    # By how much the straight way to one of the cells may be shorter than that to their middle.
+    slack_um = int(_all_ahead(cells, space.cols, middle, straight_um, 0).max())
+    cost_um = np.zeros(space.cols * space.rows, np.int32)
+    rules = straight_um, slack_um, d_cell, guide.move_um, guide.reach_m
+    settled_um = _draw_near(space, cost_um, goal, cells, middle, *rules)
+    return Strip(cost_um, settled_um, middle, slack_um, space.cols, straight_um)
+
+
+@njit(cache=True)
+def _ahead(
+    cell: int, cols: int, start: tuple[int, int], straight_um: tuple[int, int, int], slack_um: int
+) -> int:
+    """Cost of the straight way from a cell to the start over free cells, less the slack."""
+    across, up = abs(cell % cols - start[0]), abs(cell // cols - start[1])
+    far, near = max(across, up), min(across, up)
+    level, diagonal, knight = straight_um
+    if 2 * near <= far:
+        cost = near * knight + (far - 2 * near) * level
+    else:
+        cost = (far - near) * knight + (2 * near - far) * diagonal
+    return max(cost - slack_um, 0)
+
+
+@njit(cache=True)
+def _all_ahead(
+    cells: NDArray[np.int64],
+    cols: int,
+    start: tuple[int, int],
+    straight_um: tuple[int, int, int],
+    slack_um: int,
+) -> NDArray[np.int64]:
+    """`_ahead` of cells (n,)."""
+    ahead_um = np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        ahead_um[i] = _ahead(cells[i], cols, start, straight_um, slack_um)
+    return ahead_um
+
+
+@njit(cache=True)
+def _draw_near(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    goal: int,
+    wanted: NDArray[np.int64],
+    start: tuple[int, int],
+    straight_um: tuple[int, int, int],
+    slack_um: int,
+    d_cell: NDArray[np.int64],
+    move_um: NDArray[np.int64],
+    reach_m: float,
+) -> int:
+    """A* from the goal until the wanted cells are settled; see `Strip`.
+
+    Buckets one least move wide in a ring; within one, cells may lower one another and are then done
+    again.
+    """
+    width = move_um.min()
+    ring = int(2 * move_um.max() // width) + 3
+    head = np.full(ring, -1, np.int64)
+    after = np.empty(1 << 14, np.int64)
+    cells = np.empty(1 << 14, np.int64)
+    if _cell_shut(space, goal, reach_m):
+        return _NOWHERE_UM
+    cost_um[goal] = 1
+    bucket = _ahead(goal, space.cols, start, straight_um, slack_um) // width
+    cells[0], after[0], head[bucket % ring] = goal, -1, 0
+    used, waiting, last = 1, 1, -1
+    while waiting > 0:
+        if last < 0:
+            for i in range(len(wanted)):
+                if cost_um[wanted[i]] > 0:
+                    # What else is wanted lies at most twice the slack behind the first of it.
+                    last = bucket + 2 * slack_um // width + _MARGIN_MOVES
+        elif bucket > last:
+            return bucket * width
+        entry = head[bucket % ring]
+        head[bucket % ring] = -1
+        while entry >= 0:
+            cell = cells[entry]
+            entry = after[entry]
+            waiting -= 1
+            here = cost_um[cell] - 1
+            if (here + _ahead(cell, space.cols, start, straight_um, slack_um)) // width != bucket:
+                continue
+            for move in range(len(d_cell)):
+                near = cell + d_cell[move]
+                there = here + move_um[move] + 1
+                old = cost_um[near]
+                if old == 0 and _cell_shut(space, near, reach_m):
+                    cost_um[near] = _CLOSED_CELL
+                    continue
+                if old == _CLOSED_CELL or (old != 0 and old <= there):
+                    continue
+                cost_um[near] = there
+                if used == len(cells):
+                    cells = np.concatenate((cells, np.empty_like(cells)))
+                    after = np.concatenate((after, np.empty_like(after)))
+                key = there - 1 + _ahead(near, space.cols, start, straight_um, slack_um)
+                slot = key // width % ring
+                cells[used], after[used], head[slot] = near, head[slot], used
+                if slot == bucket % ring:
+                    # It is due in this very turn.
+                    after[used], entry = entry, used
+                    head[slot] = -1
+                used += 1
+                waiting += 1
+        bucket += 1
+    return bucket * width
+
+
+@njit(cache=True)
+def descend(space: Space, cost_um: NDArray[np.int32], start: int, level_um: int) -> tuple[int, int]:
+    """The first cell from the start on that costs no more than a level, and the one before it.
+
+    Both are the start if that holds for it, or if no path leads from it.
+    """
+    cell, before = start, start
+    while cost_um[cell] > level_um:
+        best = cell
+        for row in range(-2, 3):
+            for col in range(-2, 3):
+                near = cell + row * space.cols + col
+                if 0 < cost_um[near] < cost_um[best]:
+                    best = near
+        if best == cell:
+            return start, start
+        cell, before = best, cell
+    return cell, before
 
 
 def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPath:
@@ -46,6 +210,16 @@ def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPa
         ring_um = np.where(cost_um == _CLOSED_CELL, cost_um, np.int32(0))
         _spread(space, ring_um, cells, costs_um, *rules)
         _raise_outside(space, cost_um, ring_um, endgame.inside)
+    return BodyPath(cost_um, _NOWHERE_UM)
+
+
+def spread_from(
+    space: Space, guide: Potential, cells: NDArray[np.int64], costs_um: NDArray[np.int64]
+) -> BodyPath:
+    """Path costs of the body's cells from any of the cells (n,), each with its own cost."""
+    d_cell = MOVES[:, 1] * space.cols + MOVES[:, 0]
+    cost_um = np.zeros(space.cols * space.rows, np.int32)
+    _spread(space, cost_um, cells, costs_um, d_cell, guide.move_um, guide.reach_m)
     return BodyPath(cost_um, _NOWHERE_UM)
 
 

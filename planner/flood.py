@@ -23,10 +23,10 @@ from planner.space import (
     D_HALF,
     D_NODE,
     HALF_HEADING,
-    TO_ROW,
     Space,
     node_free,
     pair_known_free,
+    turned_round,
 )
 
 FORWARD, BACKWARD = 1, 2
@@ -66,7 +66,7 @@ def new_flood(space: Space, seeds: NDArray[np.int64], goals: NDArray[np.int64]) 
     seen[backward] |= BACKWARD
     return Flood(
         seen=seen,
-        back_steps=_turned_round(space.steps),
+        back_steps=turned_round(space.steps),
         forward=_with_room(forward, space.steps.shape[1]),
         backward=_with_room(backward, space.steps.shape[1]),
         ends=np.array([len(forward), len(forward), len(backward), len(backward)]),
@@ -106,27 +106,6 @@ def _with_room(stack: NDArray[np.int32], room: int, used: int | None = None) -> 
     longer = np.empty(2 * (used + room), np.int32)
     longer[:used] = stack[:used]
     return longer
-
-
-def _turned_round(steps: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Steps (2 H, K', 8) by the row in which they end, of the columns that the floods read."""
-    rows = len(steps)
-    lists: list[list[NDArray[np.int64]]] = [[] for _ in range(rows)]
-    for row in range(rows):
-        for step in steps[row]:
-            if step[COST_UM] == 0:
-                continue
-            back = step.copy()
-            back[D_NODE] = -step[D_NODE]
-            # A pair pose lies halfway: as far back from the one foot as on from the other.
-            back[D_HALF] = -step[D_HALF]
-            lists[step[TO_ROW]].append(back)
-    most = max(map(len, lists))
-    turned = np.zeros((rows, most, steps.shape[2]), np.int64)
-    for row, back_steps in enumerate(lists):
-        if back_steps:
-            turned[row, : len(back_steps)] = back_steps
-    return turned
 
 
 @njit(cache=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 # These plan by way of a path of the body, which OMPL finds.
 SAMPLING_PLANNERS = ("rrtconnect", "rrtstar", "informed-rrtstar", "bitstar", "prmstar", "fmt")
-PLANNERS = ("ara", *SAMPLING_PLANNERS)
+PLANNERS = ("ara", "astar", "backward", *SAMPLING_PLANNERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class PlannerOptions:
     """
 
     name: str = "ara"
-    epsilon: float = 1.5
+    epsilon: float = 1.2
     final_epsilon: float = 1.0
     improve_expansions: int | None = 20_000
     max_expansions: int = 3_000_000

@@ -16,11 +16,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.ara import Request, Result
 from planner.chain import NOT_ALLOWED, Rules, build_rules, chain_cost_um, foot_height_um
 from planner.lattice import MICRO
 from planner.plan import wrap_angle
 from planner.relax import relax
+from planner.request import Request, Result
 
 FloatArray = NDArray[np.float64]
 _ITERATIONS = 16  # of one attempt; nearly all that succeed at all do so in fewer

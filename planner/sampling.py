@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.along_path import Strand, dense
-from planner.ara import Request, Result, plan_ara
+from planner.ara import plan_ara
 from planner.body_motion import Outline, nearest_standing, outline_of
 from planner.enclosed import how_enclosed
 from planner.footsteps import NO_STEPS, Footsteps, Stance, cost_of
@@ -28,6 +28,7 @@ from planner.lattice import MICRO
 from planner.ompl_path import EFFORTS, BodyQuery, BodyWay, Effort, Limits, find_way
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
+from planner.request import Request, Result
 from planner.window import (
     corridor_along,
     into_frame,

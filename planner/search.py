@@ -2,7 +2,8 @@
 
 After Likhachev, Gordon and Thrun, "ARA*: Anytime A* with Provable Bounds on Sub-Optimality", 2003:
 searches with a falling weight epsilon on the heuristic, each going on from the costs that the ones
-before found. A state whose cost falls after it was expanded waits for the next search (INCONS).
+before found. A state whose cost falls after it was expanded waits for the next search (INCONS). The
+search goes from the start to the goal or, with the steps turned round, the other way.
 
 A state is the node of the foot that was placed last. OPEN is a row of buckets of equal width in f,
 each a stack. A bucket holds states in any order, but a search ends only when the lower edge of the
@@ -38,7 +39,7 @@ from planner.space import (
 )
 
 BUCKETS = 1 << 13
-FROM_START = 0  # node 0 lies on the rim, so it never is a predecessor
+FROM_START = 0  # marks a root; node 0 lies on the rim, so it never is a predecessor
 
 # Entries of Tree.scalars
 USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, LEAST_UM = range(9)
@@ -72,11 +73,16 @@ class Heuristic(NamedTuple):
 class Tree(NamedTuple):
     """State of a search, kept between calls of `expand`.
 
-    cost_um (nodes,): cost from the start, 0 where none is known. before (nodes,): the node stepped
-    from, FROM_START for a first step. round (nodes,): number of the search that
-    expanded the node. entry_node, entry_next: stacks of the buckets; head (BUCKETS + 1,): first
-    entry of each, the last for INCONS. goals (2,): nodes of the goal's feet.
+    steps: `Space.steps` for a search from the start; for one from the goal the same turned round,
+    and `is_backward`. cost_um (nodes,): cost from the roots, 0 where none is known. before
+    (nodes,): the node that this one was reached from, FROM_START for a root. round (nodes,):
+    number of the search that expanded the node. entry_node, entry_next: stacks of the buckets;
+    head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
+    plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
     """
+
+    steps: NDArray[np.int64]
+    is_backward: bool
 
     cost_um: NDArray[np.int32]
     before: NDArray[np.int32]
@@ -85,7 +91,7 @@ class Tree(NamedTuple):
     entry_next: NDArray[np.int32]
     head: NDArray[np.int32]
     goals: NDArray[np.int64]
-    final_um: int
+    goal_um: NDArray[np.int64]
     scalars: NDArray[np.int64]
 
 
@@ -143,7 +149,7 @@ def seed(
     nodes: NDArray[np.int64],
     costs_um: NDArray[np.int64],
 ) -> None:
-    """Puts the first steps (n,) into the tree, to be taken up by `begin_round`."""
+    """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
     for i in range(len(nodes)):
         node, cost = nodes[i], costs_um[i]
         old = tree.cost_um[node]
@@ -156,15 +162,16 @@ def seed(
 
 @njit(cache=True)
 def _offer(tree: Tree, node: int, cost_um: int) -> bool:
-    """Takes the node for the last but one of the plan if it is a goal foot and the best so far."""
-    scalars = tree.scalars
-    if (node == tree.goals[0] or node == tree.goals[1]) and (
-        cost_um + tree.final_um < scalars[BEST_UM]
-    ):
-        scalars[BEST_UM] = cost_um + tree.final_um
-        scalars[BEST_NODE] = node
-        return True
-    return False
+    """Takes the node for the end of the plan if it is one of the goals and the best so far."""
+    scalars, goals = tree.scalars, tree.goals
+    if node < goals[0] or node > goals[-1]:
+        return False
+    index = np.searchsorted(goals, node)
+    if goals[index] != node or cost_um + tree.goal_um[index] >= scalars[BEST_UM]:
+        return False
+    scalars[BEST_UM] = cost_um + tree.goal_um[index]
+    scalars[BEST_NODE] = node
+    return True
 
 
 @njit(cache=True)
@@ -219,7 +226,7 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
     scalars, head, rounds = tree.scalars, tree.head, tree.round
     entry_node, entry_next = tree.entry_node, tree.entry_next
     limit = scalars[EXPANSIONS] + budget
-    room = len(entry_node) - space.steps.shape[1] - 1
+    room = len(entry_node) - tree.steps.shape[1] - 1
     cursor = scalars[CURSOR]
     while True:
         while cursor < BUCKETS and head[cursor] < 0:
@@ -282,7 +289,7 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
     """Relaxes all steps from a node; whether a better plan came of it."""
     # Arrays in local names: taken from the tuples in the loop they cost more than the loop itself.
     scalars, cost_um, rounds = tree.scalars, tree.cost_um, tree.round
-    steps, node_state, half_clear_m = space.steps, space.node_state, space.half_clear_m
+    steps, node_state, half_clear_m = tree.steps, space.node_state, space.half_clear_m
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
     endgame_um = heuristic.endgame_um
@@ -336,8 +343,10 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
             clearance_m = measure_half(space, half) - 1.0
         if clearance_m <= body_radius_m and not pair_free(space, half, steps[row, k, HALF_HEADING]):
             continue
-        if uneven and not step_climbs(space, node, to):
-            continue
+        if uneven:
+            support, swing = (to, node) if tree.is_backward else (node, to)
+            if not step_climbs(space, support, swing):
+                continue
         if clearance_m < space.clearance[0]:
             cost += clearance_cost(space, clearance_m)
             if (old != 0 and cost >= old) or cost + value >= scalars[BEST_UM]:
@@ -356,7 +365,7 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
 
 
 def trace(tree: Tree, node: int) -> list[int]:
-    """Nodes of the plan that ends in a node, in the order of the steps."""
+    """Nodes from a root to a node, both included."""
     path = [node]
     while tree.before[path[-1]] != FROM_START:
         path.append(int(tree.before[path[-1]]))

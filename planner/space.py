@@ -93,6 +93,22 @@ def build_steps(table: StepTable, cols: int) -> Int64s:
     return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(2 * headings, most, 8))
 
 
+def turned_round(steps: Int64s) -> Int64s:
+    """Steps (2 H, K', 8) by the row in which they end, as `Space.steps` by that of their begin."""
+    from_row, number = np.nonzero(steps[..., COST_UM])
+    back = steps[from_row, number]
+    to_row = back[:, TO_ROW].copy()
+    # A pair pose lies halfway: as far back from the one foot as on from the other.
+    back[:, [D_COL, D_ROW, D_NODE, D_CELL, D_HALF]] *= -1
+    back[:, TO_ROW] = from_row
+    order = np.argsort(to_row, kind="stable")
+    to_row, back = to_row[order], back[order]
+    place = np.arange(len(back)) - np.searchsorted(to_row, to_row)
+    turned = np.zeros((len(steps), int(place.max()) + 1, steps.shape[2]), np.int64)
+    turned[to_row, place] = back
+    return turned
+
+
 def build_space(
     grid: OccupancyGrid,
     terrain: Terrain,

@@ -16,14 +16,16 @@ from numpy.typing import NDArray
 
 from maps.distance import distance_field
 from maps.grid import OccupancyGrid
-from planner.ara import Request, Result, build_heuristic, plan_ara
+from planner.ara import plan_ara
 from planner.collision import Terrain
 from planner.footsteps import Footsteps, Stance
 from planner.model import StepModel
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, wrap_angle
+from planner.request import Request, Result
 from planner.space import build_space
 from planner.tables import tables_of
+from planner.toward import Toward
 
 FloatArray = NDArray[np.float64]
 
@@ -82,9 +84,7 @@ def search_window(
     space = build_space(floor, terrain, model, tables.steps, (x_m, y_m, float(goal[2])))
     result = plan_ara(
         Request(
-            space=space,
-            model=model,
-            heuristic=build_heuristic(space, tables.potential, tables.endgame, tables.exits),
+            toward=Toward(space=space, model=model, tables=tables),
             feet_lattice=into_frame(stance.feet, goal),
             feet_m=stance.feet_m,
             stands=stance.pair_margin_m < model.body_margin_m,

@@ -192,6 +192,19 @@ class Oracle:
                 heapq.heappush(heap, (cost + step, to))
         return math.inf
 
+    def costs_from(self, first_steps) -> dict[Node, float]:
+        """Exact least cost to every node that is reached after one of the (cost, node)."""
+        done: dict[Node, float] = {}
+        heap = list(first_steps)
+        heapq.heapify(heap)
+        while heap:
+            cost, node = heapq.heappop(heap)
+            if node not in done:
+                done[node] = cost
+                for step, to in self.edges(node):
+                    heapq.heappush(heap, (cost + step, to))
+        return done
+
     def costs_to_go(self, start) -> dict[Node, float]:
         """Exact least cost to the end of a plan from every node that steps from a start reach."""
         reached = {node for _, node in self.first_steps(start)}

@@ -59,7 +59,7 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
         planner.plan(start=start, goal=goal)
         if planner._toward is None:
             continue  # the start or the goal itself is blocked
-        space = planner._toward[1]
+        space = planner._toward[1].space
         oracle = Oracle(grid, model, goal)
 
         def number(node, space=space):

@@ -10,10 +10,13 @@ import pytest
 
 from maps.grid import Cell, OccupancyGrid
 from planner import search
-from planner.api import Planner, plan_footsteps
+from planner.api import Planner, _to_lattice, plan_footsteps
 from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at, wrap_angle
+from planner.quick import quick_path
+from planner.request import Request, first_nodes
+from planner.task import heuristic_toward_start
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_oracle import Oracle, small_model
@@ -45,11 +48,13 @@ CASES = {
 }
 
 
+@pytest.mark.parametrize("planner", ["ara", "astar", "backward"])
 @pytest.mark.parametrize("name", CASES)
-def test_the_cost_is_the_oracles_optimum(name):
+def test_the_cost_is_the_oracles_optimum(name, planner):
     grid, start, goal = CASES[name]
     model = small_model()
-    plan = plan_footsteps(grid, model, start=start, goal=goal)
+    options = PlannerOptions(name=planner)
+    plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
     assert plan.found
     assert plan.epsilon == 1.0
     assert plan.cost_m == pytest.approx(Oracle(grid, model, goal).best_cost(start), abs=1e-5)
@@ -63,7 +68,7 @@ def test_the_heuristic_is_never_above_the_exact_cost(name):
     planner = Planner(grid, model)
     assert planner.plan(start=start, goal=goal).found
     assert planner._toward is not None
-    _, space, heuristic = planner._toward
+    space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
@@ -82,17 +87,19 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
     grid, start, goal = CASES["wall"]
     model = small_model()
     planner = Planner(grid, model)
-    planner._endgame = replace(
-        planner._endgame,
-        cost_um=np.full_like(planner._endgame.cost_um, 0),
+    tables = planner._tables
+    endgame = replace(
+        tables.endgame,
+        cost_um=np.full_like(tables.endgame.cost_um, 0),
         cap_um=0,
         ring=np.zeros((0, 3), np.int64),
     )
     # Nor the bound that looks to the rim of a circle.
-    planner._exits = replace(planner._exits, radius_cells=10**6)
+    exits = replace(tables.exits, radius_cells=10**6)
+    planner._tables = tables._replace(endgame=endgame, exits=exits)
     planner.plan(start=start, goal=goal)
     assert planner._toward is not None
-    _, space, heuristic = planner._toward
+    space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
@@ -103,7 +110,7 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
         for step, to in oracle.edges(node):
             assert estimate <= step + estimated_m(space, heuristic, to) + 1e-5
         straight_m = math.hypot(node[0], node[1]) * model.cell_m
-        detours.append(estimate - planner._potential.rate * straight_m)
+        detours.append(estimate - tables.potential.rate * straight_m)
     # Left of the wall the way around its end costs that much more than straight through it.
     assert max(detours) > 0.6
 
@@ -333,3 +340,52 @@ def test_a_planner_kept_gives_the_plans_of_a_fresh_one():
         fresh = plan_footsteps(grid, model, start=(1, 1, 0), goal=goal)
         np.testing.assert_array_equal(kept.pose_world, fresh.pose_world)
         assert kept.expansions == fresh.expansions
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name):
+    grid, start, goal = CASES[name]
+    model = small_model()
+    oracle = Oracle(grid, model, goal)
+    request = request_of(grid, model, start, goal)
+    nodes, costs_um = first_nodes(request)
+    heuristic = heuristic_toward_start(request, nodes, costs_um)
+    known = {oracle_node(request.space, int(node)) for node in nodes}
+    # The search keeps the feet a little farther apart in the first step than the oracle does.
+    cost_m = oracle.costs_from(
+        [(m, node) for m, node in oracle.first_steps(start) if node in known]
+    )
+    assert len(cost_m) > 500
+    for node, exact_m in cost_m.items():
+        assert estimated_m(request.space, heuristic, node) <= exact_m + 1e-5
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
+    grid, start, goal = CASES[name]
+    model = small_model()
+    best_m = Oracle(grid, model, goal).best_cost(start)
+    request = request_of(grid, model, start, goal)
+    quick = quick_path(request, *first_nodes(request), PlannerOptions())
+    assert quick is not None
+    assert quick.least_um / 1e6 <= best_m + 1e-5
+    assert quick.cost_um / 1e6 >= best_m - 1e-5
+
+
+def oracle_node(space, node):
+    cell, row = divmod(node, 2 * space.headings)
+    up, across = divmod(cell, space.cols)
+    return across - space.origin_col, up - space.origin_row, row // 2, row % 2
+
+
+def request_of(grid, model, start, goal):
+    planner = Planner(grid, model)
+    planner.plan(start=start, goal=goal)
+    feet = feet_at(start, model.stance_width_m)
+    return Request(
+        toward=planner._toward[1],
+        feet_lattice=_to_lattice(feet, goal),
+        feet_m=np.zeros(2),
+        stands=False,
+        first_side=None,
+    )

@@ -1,0 +1,138 @@
+"""What every search is asked, and what it answers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.connect import first_steps
+from planner.lattice import MICRO, foot_position
+from planner.model import Side, StepModel
+from planner.plan import PlanStatus
+from planner.search import Heuristic
+from planner.space import Space
+from planner.toward import Toward
+
+FloatArray = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A search on the lattice.
+
+    feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): how high.
+    """
+
+    toward: Toward
+    feet_lattice: FloatArray
+    feet_m: FloatArray
+    stands: bool
+    first_side: Side | None
+
+    @property
+    def space(self) -> Space:
+        """The lattice."""
+        return self.toward.space
+
+    @property
+    def model(self) -> StepModel:
+        """The robot."""
+        return self.toward.model
+
+    @property
+    def heuristic(self) -> Heuristic:
+        """The heuristic toward the goal."""
+        return self.toward.heuristic
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason.
+
+    z_m (N,): height of the ground under each step.
+    """
+
+    status: PlanStatus
+    reason: str = ""
+    side: NDArray[np.int8]
+    pose_lattice: FloatArray
+    z_m: FloatArray
+    cost_m: float = 0.0
+    epsilon: float = math.inf
+    expansions: int = 0
+    time_to_first_s: float = 0.0
+
+
+def failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
+    """A result without a plan."""
+    return Result(
+        status=status,
+        reason=reason,
+        side=np.zeros(0, np.int8),
+        pose_lattice=np.zeros((0, 3)),
+        z_m=np.zeros(0),
+        expansions=expansions,
+    )
+
+
+def no_first_step(request: Request) -> Result:
+    """The result where nothing can be stepped on from where the feet stand."""
+    side = "" if request.first_side is None else f" with the {request.first_side.name.lower()}"
+    reason = f"start: no first step{side} is free of obstacles and in limits"
+    return failure(PlanStatus.NO_PATH, reason)
+
+
+def first_nodes(request: Request) -> tuple[Int64s, Int64s]:
+    """Nodes (n,) and costs (n,) of the first steps with either foot, or with the one asked for."""
+    sides = Side if request.first_side is None else (request.first_side,)
+    # A robot that stands too near to an obstacle must be able to leave.
+    margin_m = 0.0 if request.stands else request.model.body_margin_m
+    found = [
+        first_steps(
+            request.space,
+            request.model,
+            request.feet_lattice[side.other],
+            side,
+            margin_m,
+            round(float(request.feet_m[side.other]) * MICRO),
+        )
+        for side in sides
+    ]
+    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+
+
+def found(
+    request: Request,
+    nodes: Int64s,
+    *,
+    cost_um: int,
+    epsilon: float,
+    expansions: int,
+    time_to_first_s: float,
+) -> Result:
+    """The plan whose steps are the nodes (N - 1,) and then the other foot at the goal."""
+    space, model = request.space, request.model
+    nodes = np.append(nodes, request.toward.goal_nodes[1 - (int(nodes[-1]) & 1)])
+    side = (nodes & 1).astype(np.int8)
+    heading = (nodes >> 1) % space.headings
+    cell = (nodes >> 1) // space.headings
+    col = (cell % space.cols - space.origin_col).astype(float)
+    row = (cell // space.cols - space.origin_row).astype(float)
+    position = np.array(
+        [foot_position(c, r, s, model) for c, r, s in zip(col, row, side, strict=True)]
+    )
+    yaw_rad = heading * (2 * np.pi / space.headings)
+    return Result(
+        status=PlanStatus.FOUND,
+        side=side,
+        pose_lattice=np.column_stack([position, yaw_rad]),
+        z_m=space.node_um[nodes] / MICRO if len(space.node_um) else np.zeros(len(nodes)),
+        cost_m=cost_um / MICRO,
+        epsilon=epsilon,
+        expansions=expansions,
+        time_to_first_s=time_to_first_s,
+    )

@@ -1,0 +1,125 @@
+"""The two directions of a search: from the start to the goal, and from the goal to the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner import search
+from planner.body_path import spread_from
+from planner.lattice import final_cost_um
+from planner.request import Request
+from planner.search import Heuristic, Tree
+from planner.space import Int64s, Space, node_free, turned_round
+from planner.toward import body_cells_of
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A search between nodes: roots (n,) with what they cost, goals (m,) with what is still to pay.
+
+    The goals are in rising order. The heuristic looks toward the goals.
+    """
+
+    space: Space
+    heuristic: Heuristic
+    steps: Int64s
+    is_backward: bool
+    roots: Int64s
+    root_um: Int64s
+    goals: Int64s
+    goal_um: Int64s
+
+    def tree(self) -> Tree:
+        """A fresh tree with the roots in it."""
+        space = self.space
+        nodes = space.cols * space.rows * space.headings * 2
+        scalars = np.zeros(search.SCALARS, np.int64)
+        scalars[search.BEST_UM] = search.NO_COST
+        entries = (1 << 16) + len(self.roots)
+        tree = Tree(
+            steps=self.steps,
+            is_backward=self.is_backward,
+            cost_um=np.zeros(nodes, np.int32),
+            before=np.zeros(nodes, np.int32),
+            round=np.zeros(nodes, np.uint8),
+            entry_node=np.empty(entries, np.int32),
+            entry_next=np.empty(entries, np.int32),
+            head=np.full(search.BUCKETS + 1, -1, np.int32),
+            goals=self.goals,
+            goal_um=self.goal_um,
+            scalars=scalars,
+        )
+        search.seed(space, self.heuristic, tree, self.roots, self.root_um)
+        return tree
+
+    @property
+    def may_connect(self) -> bool:
+        """Whether a path of the body leads to the goals from any of the roots."""
+        rows = self.roots % (2 * self.space.headings)
+        cells = self.roots // (2 * self.space.headings) + self.heuristic.body_cell[rows]
+        return bool(np.any(self.heuristic.cost_um[cells] > 0))
+
+    def in_order(self, path: list[int]) -> Int64s:
+        """Nodes of a path from a root to a goal in the order of the steps."""
+        return np.array(path[::-1] if self.is_backward else path, np.int64)
+
+
+def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
+    """From the first steps (n,) with their costs to the goal feet."""
+    return Task(
+        space=request.space,
+        heuristic=request.heuristic,
+        steps=request.space.steps,
+        is_backward=False,
+        roots=nodes,
+        root_um=costs_um,
+        goals=request.toward.goal_nodes,
+        goal_um=np.full(2, final_cost_um(request.model)),
+    )
+
+
+def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
+    """From the goal feet to the first steps (n,) with their costs."""
+    feet = request.toward.goal_nodes
+    roots = feet[[node_free(request.space, int(node)) for node in feet]]
+    order = np.argsort(nodes)
+    return Task(
+        space=request.space,
+        heuristic=heuristic_toward_start(request, nodes, costs_um),
+        steps=turned_round(request.space.steps),
+        is_backward=True,
+        roots=roots,
+        root_um=np.full(len(roots), final_cost_um(request.model)),
+        goals=nodes[order],
+        goal_um=costs_um[order],
+    )
+
+
+def heuristic_toward_start(request: Request, nodes: Int64s, costs_um: Int64s) -> Heuristic:
+    """Least cost from the start, by the inequality (1) of `guide.py` summed from a first step s.
+
+    h(t) = min over s of [ cost(s) + p(s) + D(cell(s), cell(t)) ] - p(t).
+    """
+    toward = request.toward
+    potential_um = toward.tables.potential.potential_um.reshape(-1)
+    value_um = costs_um + potential_um[nodes % (2 * request.space.headings)]
+    cells, index = np.unique(body_cells_of(toward, nodes), return_inverse=True)
+    least_um = np.full(len(cells), np.iinfo(np.int64).max)
+    np.minimum.at(least_um, index, value_um)
+    base_um = int(least_um.min())
+    path = spread_from(request.space, toward.tables.potential, cells, least_um - base_um)
+    rows = len(potential_um)
+    return Heuristic(
+        path.cost_um,
+        path.frontier_um,
+        toward.body_cell,
+        base_um - potential_um,
+        np.zeros((1, 1, rows), np.int32),  # there are no tables of the way from a start
+        0,
+        np.zeros((rows, 1), np.int64),
+        np.zeros((1, 1), np.int32),
+        np.zeros((0, 4), np.int64),
+        request.space.cols + request.space.rows,  # no exit bound: all is within the circle
+    )

@@ -1,0 +1,70 @@
+"""What all searches toward one goal on one map share, each part made when it is first asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from planner.body_path import search_body_path
+from planner.exits import SECTORS
+from planner.guide import Potential
+from planner.model import StepModel
+from planner.search import Heuristic
+from planner.space import Int64s, Space
+from planner.tables import Tables
+
+
+@dataclass(kw_only=True)
+class Toward:
+    """The lattice laid out from a goal, and what is known of the way to it.
+
+    memory: what a search that is asked again and again keeps for itself, by its name.
+    """
+
+    space: Space
+    model: StepModel
+    tables: Tables
+    memory: dict[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def heuristic(self) -> Heuristic:
+        """The heuristic toward the goal, good for any start."""
+        space, exits = self.space, self.tables.exits
+        path = search_body_path(space, self.tables.potential, self.tables.endgame)
+        return Heuristic(
+            path.cost_um,
+            path.frontier_um,
+            self.body_cell,
+            self.tables.potential.potential_um.reshape(-1),
+            self.tables.endgame.cost_um,
+            self.tables.endgame.cap_um,
+            exits.turn_um,
+            np.zeros((space.cols * space.rows, SECTORS), np.int32),
+            exits.rim,
+            exits.radius_cells,
+        )
+
+    @cached_property
+    def body_cell(self) -> Int64s:
+        """The body's cell from a foot's cell, per heading * 2 + side (2 H,)."""
+        return body_cells_from(self.tables.potential, self.space.cols)
+
+    @property
+    def goal_nodes(self) -> Int64s:
+        """Nodes of the goal feet (2,), left then right."""
+        origin = self.space.origin_row * self.space.cols + self.space.origin_col
+        return np.arange(2) + origin * self.space.headings * 2
+
+
+def body_cells_from(potential: Potential, cols: int) -> Int64s:
+    """The body's cell from a foot's cell as a difference of cell numbers (2 H,)."""
+    return (potential.body_row * cols + potential.body_col).reshape(-1)
+
+
+def body_cells_of(toward: Toward, nodes: Int64s) -> Int64s:
+    """The body's cell (n,) of nodes (n,)."""
+    rows = 2 * toward.space.headings
+    return nodes // rows + toward.body_cell[nodes % rows]
