@@ -344,7 +344,8 @@ ROBOT = Robot(
     step_model=StepModel(
         foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
         body=BodyShape(length_m=0.52, width_m=0.64),
-        limits=LIMITS,
+        # Well inside what is trained, as for JVRC-1.
+        limits=replace(LIMITS, x_m=(-0.16, 0.31), y_m=(0.18, 0.33), yaw_rad=(-0.16, 0.31)),
         steps=STEPS,
         stance_width_m=0.21,
         turn_cost_m=0.05,
@@ -354,7 +355,7 @@ ROBOT = Robot(
         clearance_cost_m=0.25,
         foot_margin_m=0.03,
         level_margin_m=0.01,
-        body_margin_m=0.08,
+        body_margin_m=0.11,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
     joints=_joints(),
