@@ -14,12 +14,12 @@ from controller.measure_gait import (
     contact_agreement,
     cost_of_transport,
     distance_m,
+    duration_s,
     in_contact,
     joint_loads,
     mechanical_work_j,
     over_cycle,
     peak_weights,
-    speed_m_s,
     swing_lags,
 )
 from controller.push import DIRECTIONS, WALK_S, push_recovery
@@ -52,7 +52,7 @@ def gait_parts(bench: Bench) -> list[Part]:
             return head
         whole = record.of_upright()
         ticks = GaitTicks.of(robot.gait)
-        steady = whole.later_than(2 * robot.gait.step_s)
+        steady = whole.steady(ticks)
         weights = steady.ground_force_n / (robot.mass_kg * 9.81)
         contact = in_contact(steady, robot.mass_kg).astype(float)
         asked = np.repeat(steady.indicator, steady.substeps, axis=1)
@@ -94,15 +94,14 @@ def energy_parts(bench: Bench) -> list[Part]:
         row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
         if not record.upright.any():
             return {**row, "speed_m_s": None, "cost_of_transport": None, "power_w": None}
-        steady = record.of_upright().later_than(2 * bench.robot.gait.step_s)
+        steady = record.of_upright().steady(GaitTicks.of(bench.robot.gait))
         work_j, way_m = mechanical_work_j(steady), distance_m(steady)
         cost = cost_of_transport(work_j, bench.robot.mass_kg, way_m)
-        seconds = steady.torque_nm.shape[1] * steady.timestep_s
         return {
             **row,
-            "speed_m_s": float(speed_m_s(steady).mean()),
+            "speed_m_s": float(way_m.mean() / duration_s(steady)),
             "cost_of_transport": float(cost.mean()),
-            "power_w": float(work_j.mean() / seconds),
+            "power_w": float(work_j.mean() / duration_s(steady)),
         }
 
     return [

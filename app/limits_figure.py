@@ -66,14 +66,16 @@ def _squares(
         linewidth=0,
     )
     for kind, value in zip(known, values, strict=True):
-        dark = (value - ends[0]) / (ends[1] - ends[0])
+        red, green, blue, _ = image.to_rgba(value)
+        dark = 0.3 * red + 0.6 * green + 0.1 * blue < 0.5
         axes.annotate(
             f"{value:.0f}" if key == "success" else f"{value:.1f}",
             (100 * kind["x_m"], 100 * kind["y_m"]),
             ha="center",
             va="center",
-            fontsize=5.5,
-            color="white" if key != "success" and dark > 0.5 else "black",
+            fontsize=6,
+            color="white" if dark else "black",
+            zorder=5,
         )
     axes.tick_params(labelsize=8)
     axes.margins(0.14)

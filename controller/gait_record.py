@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.cursor import Track
-from controller.gait import CONTROL_PERIOD_S
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
 from controller.sequences import chain_steps
 from controller.walks import set_off, walk
@@ -46,11 +46,16 @@ class WalkRecord:
         chosen = {name: getattr(self, name)[self.upright] for name in _PER_ROBOT}
         return WalkRecord(timestep_s=self.timestep_s, **chosen)
 
-    def later_than(self, time_s: float) -> WalkRecord:
-        """The walks without their beginning."""
-        ticks = round(time_s / CONTROL_PERIOD_S)
-        cut = {name: getattr(self, name)[:, ticks * self.substeps :] for name in _PER_PHYSICS_STEP}
-        cut |= {name: getattr(self, name)[:, ticks:] for name in _PER_CONTROL_STEP}
+    def steady(self, ticks: GaitTicks) -> WalkRecord:
+        """The walks after three steps, from one moment of the gait to the same in a later cycle.
+
+        The body sways once a cycle: between any two moments it has come nearer or farther.
+        """
+        start, cycle = 3 * ticks.step, 2 * ticks.step
+        end = start + (self.indicator.shape[1] - 1 - start) // cycle * cycle + 1
+        every = self.substeps
+        cut = {n: getattr(self, n)[:, start * every : end * every] for n in _PER_PHYSICS_STEP}
+        cut |= {name: getattr(self, name)[:, start:end] for name in _PER_CONTROL_STEP}
         return WalkRecord(timestep_s=self.timestep_s, upright=self.upright, **cut)
 
 

@@ -140,9 +140,12 @@ def _median_s(steps: list[int], timestep_s: float) -> float:
 
 
 def mechanical_work_j(record: WalkRecord) -> np.ndarray:
-    """Absolute work (B,) of all servos: what brakes costs as much as what drives."""
+    """Absolute work (B,) of all servos: what brakes costs as much as what drives.
+
+    Counted from where `distance_m` is: the end of the first control step.
+    """
     power_w = np.abs(record.torque_nm * record.joint_speed_rad_s).sum(axis=2)
-    return np.asarray(power_w.sum(axis=1) * record.timestep_s)
+    return np.asarray(power_w[:, record.substeps :].sum(axis=1) * record.timestep_s)
 
 
 def distance_m(record: WalkRecord) -> np.ndarray:
@@ -151,10 +154,9 @@ def distance_m(record: WalkRecord) -> np.ndarray:
     return np.linalg.norm(way, axis=1)
 
 
-def speed_m_s(record: WalkRecord) -> np.ndarray:
-    """Mean walking speed (B,)."""
-    ticks = record.pelvis_xy_world.shape[1] - 1
-    return distance_m(record) / (ticks * CONTROL_PERIOD_S)
+def duration_s(record: WalkRecord) -> float:
+    """The time from the end of the first control step to that of the last."""
+    return (record.pelvis_xy_world.shape[1] - 1) * CONTROL_PERIOD_S
 
 
 def cost_of_transport(work_j: np.ndarray, mass_kg: float, way_m: np.ndarray) -> np.ndarray:

@@ -14,11 +14,11 @@ from controller.measure_gait import (
     contact_agreement,
     cost_of_transport,
     distance_m,
+    duration_s,
     joint_loads,
     mechanical_work_j,
     over_cycle,
     peak_weights,
-    speed_m_s,
     swing_lags,
 )
 from controller.push import DIRECTIONS, Push
@@ -73,9 +73,10 @@ def test_work_counts_braking_and_cost_is_work_per_weight_and_way():
     way = np.zeros((1, 20, 2))
     way[0, 1:] = [[3.0, 4.0]] * 19
     walk = record(20, torque_nm=torque, joint_speed_rad_s=speed, pelvis_xy_world=way)
-    assert mechanical_work_j(walk) == pytest.approx([2.5])
+    # 25 W from the end of the first tick to that of the last, 19 ticks of 5 ms.
+    assert mechanical_work_j(walk) == pytest.approx([25 * 0.095])
     assert distance_m(walk) == pytest.approx([5.0])
-    assert speed_m_s(walk) == pytest.approx([5.0 / (19 * CONTROL_PERIOD_S)])
+    assert duration_s(walk) == pytest.approx(19 * CONTROL_PERIOD_S)
     assert cost_of_transport(np.array([981.0]), 50.0, np.array([4.0])) == pytest.approx([0.5])
 
 
@@ -125,13 +126,21 @@ def test_lags_of_a_swing_worked_by_hand():
     assert np.isnan(swing_lags(record(12), ROBOT.mass_kg, ticks)).all()
 
 
-def test_beginning_and_fallen_robots_are_left_out():
+def test_fallen_robots_are_left_out():
     walk = record(4, 5, 3, upright=np.array([True, False, True]))
     assert walk.substeps == 5
     assert walk.of_upright().torque_nm.shape == (2, 20, 12)
-    later = walk.later_than(3 * CONTROL_PERIOD_S)
-    assert later.indicator.shape == (3, 1, 2)
-    assert later.torque_nm.shape == (3, 5, 12)
+
+
+def test_steady_walks_begin_and_end_at_the_same_moment_of_the_gait():
+    """Steps of 2 ticks, cycles of 4: of 17 ticks the first 6 go, then come 2 cycles and a tick."""
+    way = np.zeros((1, 17, 2))
+    way[0, :, 0] = range(17)
+    ticks = GaitTicks(swing=1, double_support=1)
+    steady = record(17, 2, pelvis_xy_world=way).steady(ticks)
+    assert steady.pelvis_xy_world[0, :, 0].tolist() == list(range(6, 15))
+    assert steady.torque_nm.shape == (1, 18, 12)
+    assert distance_m(steady) == pytest.approx([8.0])
 
 
 def test_feet_take_turns_where_a_walk_leads_sideways():
