@@ -10,6 +10,7 @@ import pytest
 
 from controller.assess import assess_mode, in_step_frame
 from controller.checkpoint import TrainingError
+from controller.curriculum import Curriculum, Stage
 from controller.cursor import STANCE
 from controller.env import WalkTask
 from controller.planned import PlannedSteps
@@ -30,6 +31,7 @@ TINY = TrainConfig(
     samples=2 * 2 * 64,
     updates_per_segment=2,
     assess_episodes=2,
+    curriculum=Curriculum(top_rise_m=0.1, rise_step_m=0.05, flat_success=0, stairs_success=0),
     task=TaskConfig(episode_ticks=8),
     ppo=PpoConfig(robots=4, ticks_per_update=16, hidden=(8,), minibatches=2, epochs=2),
 )
@@ -228,6 +230,10 @@ def test_run_cut_off_and_resumed_gives_the_policy_of_the_whole_run(tmp_path):
         assert np.array_equal(ours[0], theirs[0])
         assert np.array_equal(ours[1], theirs[1])
     assert len(whole.history) == len(resumed.history) == 2
+    # The first segment was on flat ground, the second on the first stairs, in both runs alike.
+    assert [line["rise_m"] for line in resumed.history] == [0.0, 0.05]
+    assert resumed.stage == whole.stage == Stage(rise_m=0.10, hardness=1.0)
+    assert resumed.best_score == whole.best_score
 
 
 def test_training_changes_the_policy_and_another_seed_another_way(tmp_path):

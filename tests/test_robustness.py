@@ -1,0 +1,178 @@
+"""What training disturbs: within its ranges, repeatable, and nothing at all when switched off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from controller.curriculum import Stage
+from controller.env import WalkTask
+from controller.gait import CONTROL_PERIOD_S
+from controller.robustness import PUSH_TICKS, Disturbances, Robustness
+from controller.task_config import TaskConfig
+from sim.batch import SimBatch
+from sim.robots import get_robot
+from sim.scene import build_scene
+from sim.treads import Ground
+
+COUNT = 400
+LOUD = replace(Robustness(), quiet_share=0.0, late_share=1.0, push_share=1.0)
+
+
+def drawn(config, hardness, seed=0):
+    disturbances, rng = Disturbances(config, COUNT, 12), np.random.default_rng(seed)
+    for row in range(COUNT):
+        disturbances.draw_episode(rng, row, hardness, period_s=CONTROL_PERIOD_S, ticks=100)
+    return disturbances
+
+
+class FakeSim:
+    """Records the pushes."""
+
+    def __init__(self):
+        self.forces = []
+
+    def push(self, force):
+        self.forces.append(force.copy())
+
+
+def impulses(disturbances):
+    """Impulse (B,) in N s that each robot gets over an episode."""
+    sim = FakeSim()
+    for tick in range(100 + PUSH_TICKS):
+        disturbances.push(sim, np.full(COUNT, tick))
+    return np.linalg.norm(sim.forces, axis=2).sum(axis=0) * CONTROL_PERIOD_S
+
+
+@pytest.mark.parametrize("hardness", [1.0, 0.5])
+def test_amplitudes_fill_their_ranges_and_scale_with_the_hardness(hardness):
+    disturbances = drawn(LOUD, hardness)
+    for amplitude, highest in (
+        (np.degrees(disturbances.joint_noise_rad), 5.0),
+        (np.degrees(disturbances.tilt_noise_rad), 1.0),
+        (disturbances.angular_speed_noise_rad_s, 0.1),
+        (disturbances.late_ticks, 1.0),
+        (impulses(disturbances), 12.0),
+    ):
+        assert amplitude.min() >= 0
+        assert 0.95 * highest * hardness < amplitude.max() <= highest * hardness * (1 + 1e-9)
+        assert np.mean(amplitude) == pytest.approx(highest * hardness / 2, rel=0.1)
+    errors = [
+        disturbances.draw_tread_error_m(np.random.default_rng(k), hardness) for k in range(COUNT)
+    ]
+    assert np.mean(np.equal(errors, 0.0)) == pytest.approx(0.3, abs=0.07)
+    assert 0.05 * hardness < max(errors) <= 0.055 * hardness
+
+
+def test_quiet_episodes_have_none_of_it():
+    disturbances = drawn(replace(LOUD, quiet_share=0.4), 1.0)
+    quiet = disturbances.joint_noise_rad == 0
+    assert quiet.mean() == pytest.approx(0.4, abs=0.07)
+    for amplitude in (
+        disturbances.tilt_noise_rad,
+        disturbances.angular_speed_noise_rad_s,
+        disturbances.late_ticks,
+        impulses(disturbances),
+    ):
+        assert np.array_equal(amplitude == 0, quiet)
+
+
+def test_noise_of_joint_speeds_goes_with_that_of_positions():
+    """3 degrees on positions are 30 deg/s on speeds; clock and steps are seen as they are."""
+    disturbances = drawn(Robustness.exactly(joint_noise_deg=3.0), 1.0)
+    noise = disturbances.sense(np.random.default_rng(0), np.zeros((COUNT, 39)))
+    limit = np.radians(np.r_[np.zeros(5), np.full(12, 3.0), np.full(12, 30.0), np.zeros(10)])
+    assert np.all(np.abs(noise) <= limit)
+    assert np.abs(noise).max(axis=0) == pytest.approx(limit, rel=0.05)
+
+
+def test_same_seed_same_draws():
+    first, again, other = drawn(LOUD, 1.0), drawn(LOUD, 1.0), drawn(LOUD, 1.0, seed=1)
+    assert np.array_equal(first.joint_noise_rad, again.joint_noise_rad)
+    assert np.array_equal(impulses(first), impulses(again))
+    assert not np.array_equal(first.joint_noise_rad, other.joint_noise_rad)
+
+
+def standing_run(stage, robustness, seed=0):
+    """Everything a task with nothing drawn in it gives, whatever the seed, over 20 steps."""
+    config = TaskConfig(
+        joint_noise_rad=0.0,
+        joint_speed_noise_rad_s=0.0,
+        wait_ticks=0,
+        episode_ticks=12,
+        robustness=robustness,
+    )
+    task = WalkTask(
+        get_robot("jvrc1"), count=2, seed=seed, mode="standing", config=config, stage=stage
+    )
+    actions = 0.1 * np.random.default_rng(5).normal(size=(20, 2, 12))
+    steps = [task.step(action) for action in actions]
+    return [
+        np.concatenate([s.observation, s.critic_observation, s.reward[:, None]], 1) for s in steps
+    ]
+
+
+def test_all_switched_off_is_bit_identical_to_no_disturbance():
+    calm = standing_run(Stage(), Robustness())
+    off = standing_run(Stage(hardness=1.0), Robustness.exactly(), seed=1)
+    assert np.array_equal(calm, off)
+    for change in (
+        {"joint_noise_deg": (1.0, 1.0)},
+        {"late_share": 1.0, "late_ticks": (0.5, 0.5)},
+        {"push_share": 1.0, "push_n_s": (10.0, 10.0)},
+        {"mass_factor": (1.05, 1.05)},
+        {"gain_factor": (1.05, 1.05)},
+        {"friction_factor": (0.2, 0.2)},
+        {"pelvis_com_m": (0.01, 0.01)},
+    ):
+        on = standing_run(Stage(hardness=1.0), replace(Robustness.exactly(), **change))
+        assert not np.array_equal(calm, on), change
+
+
+def test_task_that_goes_back_to_no_hardness_is_calm_again():
+    config = TaskConfig(robustness=LOUD)
+    task = WalkTask(get_robot("jvrc1"), count=2, seed=0, config=config, stage=Stage(hardness=1.0))
+    assert task.walker.late_ticks.all()
+    task.restart(3, stage=Stage())
+    assert not task.walker.late_ticks.any()
+    assert np.array_equal(task.observe(), task.critic_observe(task.observe())[:, :39])
+
+
+def falling(variation, push_n):
+    """Speed (3,) of a pelvis pushed sideways for one control step, high above the floor."""
+    scene = build_scene(get_robot("jvrc1"), timestep_s=0.005, treads=True)
+    sim = SimBatch(scene, count=1, control_period_s=CONTROL_PERIOD_S)
+    sim.place_ground(0, Ground(floor_z_m=-5.0))
+    if variation is not None:
+        ones = {"friction": np.ones(1), "mass": np.ones(1), "gain": np.ones(1)}
+        sim.variation().set(**{**ones, "pelvis_com_m": np.zeros((1, 3)), **variation})
+    sim.push(np.array([[0.0, push_n, 0.0]]))
+    sim.step(scene.robot.half_sitting_rad[None])
+    return sim.qvel[0, :3].copy()
+
+
+def test_models_vary_by_their_factors():
+    """Twice the mass takes half the speed from the same push; factors of one change nothing."""
+    plain = falling(None, 300.0)
+    assert plain[1] > 0.1
+    assert np.array_equal(falling({}, 300.0), plain)
+    assert falling({"mass": np.array([2.0])}, 300.0)[1] == pytest.approx(plain[1] / 2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"joint_noise_deg": (3.0, 1.0)},
+        {"push_n_s": (-1.0, 1.0)},
+        {"tread_error_m": (0.0, float("inf"))},
+        {"late_ticks": (0.0, 2.0)},
+        {"mass_factor": (0.0, 1.0)},
+        {"quiet_share": 1.5},
+        {"joint_speed_noise_per_s": -1.0},
+    ],
+)
+def test_impossible_ranges_are_refused_by_their_names(values):
+    with pytest.raises(ValueError, match=next(iter(values))):
+        Robustness(**values)
