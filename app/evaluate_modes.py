@@ -45,13 +45,13 @@ def _assess(bench: Bench, mode: str | None, episodes: int, **settings: float) ->
                 bench.robot,
                 bench.policy,
                 mode,
-                episodes=len(rows),
+                episodes=min(AT_ONCE, episodes - first),
                 seed=bench.seed + 1000 * number,
                 threads=bench.threads,
                 config=at_navigation_rate(),
                 **settings,
             )
-            for number, rows in enumerate(portions(episodes, AT_ONCE))
+            for number, first in enumerate(range(0, episodes, AT_ONCE))
         ]
     )
 
@@ -125,12 +125,12 @@ def long_parts(bench: Bench) -> list[Part]:
 
     def measure(results: Results) -> dict[str, Any]:
         survived: list[int] = []
-        for number, rows in enumerate(portions(count)):
+        for rows, seed in portions(count, bench.seed):
             walker = set_off(
                 bench.robot,
                 draw,
                 count=len(rows),
-                seed=np.random.SeedSequence([bench.seed, number]),
+                seed=seed,
                 threads=bench.threads,
             )
             lasted = np.zeros(len(rows), dtype=np.int64)

@@ -119,9 +119,10 @@ def _stairs(document: Document) -> list[str]:
     return [
         "## Stairs",
         "",
-        "Episodes of 10 s. Success: neither fallen nor strayed from the plan. Each tread is "
-        "uniformly higher or lower than observed by up to the tread noise; joint noise is uniform "
-        "on every observed joint position, with matching noise on the velocities.",
+        "Episodes of 10 s on runs of 25 to 30 cm. Success: neither fallen nor strayed from the "
+        "plan. Each tread is uniformly higher or lower than observed by up to the tread noise; "
+        "joint noise is uniform on every observed joint position, with matching noise on the "
+        "velocities.",
         "",
         *table(titles, rows),
         "",

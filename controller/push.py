@@ -76,9 +76,8 @@ def push_recovery(
         for _ in range(count)
     ]
     stayed = []
-    for number, rows in enumerate(portions(len(pushes))):
+    for rows, part_seed in portions(len(pushes), seed):
         part = [pushes[row] for row in rows]
-        part_seed = np.random.SeedSequence([seed, number])
         stayed.append(_walk_pushed(robot, policy, part, part_seed, threads))
     shares = np.concatenate(stayed).reshape(len(impulses_ns), count).mean(axis=1)
     return [float(share) for share in shares]

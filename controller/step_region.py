@@ -54,8 +54,7 @@ def walk_steps(
     They walk in portions; once more than `falls_at_most` have fallen, the rest is left out.
     """
     parts: list[StepWalks] = []
-    for k, rows in enumerate(portions(count)):
-        part_seed = np.random.SeedSequence([seed, k])
+    for rows, part_seed in portions(count, seed):
         parts.append(_walk_portion(robot, policy, draw_steps, rows, part_seed, threads))
         falls = sum(int((~part.upright).sum()) for part in parts)
         if falls_at_most is not None and falls > falls_at_most:

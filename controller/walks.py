@@ -21,6 +21,8 @@ PHYSICS_TIMESTEP_S = 0.001
 AT_ONCE = 250
 JOINT_NOISE_RAD = 0.02
 LONGEST_WAIT_TICKS = 20
+# Sets these walks apart from the episodes of training, whose seeds are pairs.
+_HELD_OUT = 20_220_712
 
 # Gives robot `row` its track; told the random generator, the row and where its feet are (2, 4).
 DrawTrack = Callable[[np.random.Generator, int, np.ndarray], Track]
@@ -103,10 +105,11 @@ def fallen(walker: Walker) -> np.ndarray:
     return walker.sim.failed | ~(height_m >= walker.robot.fallen_height_m) | touching
 
 
-def portions(count: int, at_once: int = AT_ONCE) -> Iterator[range]:
-    """The rows 0 to count - 1 in portions that fit the memory."""
-    for first in range(0, count, at_once):
-        yield range(first, min(first + at_once, count))
+def portions(count: int, seed: int) -> Iterator[tuple[range, np.random.SeedSequence]]:
+    """The rows 0 to count - 1 in portions that fit the memory, each with a seed of its own."""
+    for first in range(0, count, AT_ONCE):
+        rows = range(first, min(first + AT_ONCE, count))
+        yield rows, np.random.SeedSequence([_HELD_OUT, seed, first])
 
 
 def _set_down(walker: Walker, row: int) -> None:
