@@ -263,7 +263,7 @@ def test_the_floods_meet_just_where_there_is_a_plan(name):
     planner = Planner(grid, CLIMBER)
     plan = planner.plan(start=start, goal=goal)
     assert planner._toward is not None
-    space, oracle = planner._toward[1], Oracle(grid, CLIMBER, goal)
+    space, oracle = planner._toward[1].space, Oracle(grid, CLIMBER, goal)
 
     def number(node):
         col, row, heading, side = node

@@ -205,7 +205,11 @@ def chain_of(planner, plan):
     """Rules of a planner's space, and a plan as a chain on a map whose origin is 0."""
     feet = plan.start_feet_world[:, [0, 1, 3]].copy()
     rules = build_rules(
-        planner._toward[1], planner.model, feet, np.zeros(2, np.int64), planner.model.body_margin_m
+        planner._toward[1].space,
+        planner.model,
+        feet,
+        np.zeros(2, np.int64),
+        planner.model.body_margin_m,
     )
     poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
     return rules, poses, float(Side(int(plan.side[0])).outward)
@@ -298,7 +302,7 @@ def test_the_banded_system_is_solved_as_a_dense_one():
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     assert planner._toward is not None
     rng = np.random.default_rng(1)
-    work = new_work(planner._toward[1], len(plan))
+    work = new_work(planner._toward[1].space, len(plan))
     size = len(work.right)
     dense, right = np.eye(size), np.zeros(size)
     work.matrix[:, 0] = 1.0
@@ -335,7 +339,7 @@ def test_height_under_a_foot_is_that_of_its_tread_or_none():
     planner = Planner(grid, small_model(), LATTICE)
     planner.plan(start=(0.4, 0.5, 0.0), goal=(0.5, 1.2, 0.0))
     assert planner._toward is not None
-    space = planner._toward[1]
+    space = planner._toward[1].space
     # The foot is 0.2 m long and wants 0.02 m of level ground around it; the edge is at x = 1.
     assert foot_height_um(space, np.array([0.87, 1.0, 0.0])) == 0
     assert foot_height_um(space, np.array([1.13, 1.0, 0.0])) == 100_000
