@@ -63,6 +63,15 @@ def parse_pose(text: str) -> Pose:
     return Pose(*values)
 
 
+def parse_poses(text: str) -> tuple[Pose, ...]:
+    """Poses written one after another with colons between.
+
+    Raises:
+        ValueError: One of them is not a pose.
+    """
+    return tuple(parse_pose(part) for part in text.split(":"))
+
+
 def number(
     *, at_least: float | None = None, above: float | None = None
 ) -> PrimitiveConstructorSpec[float]:
@@ -134,7 +143,7 @@ def _number(
 
 def _show(value: object) -> list[str]:
     """A value as the help shows it and as it would be typed."""
-    if value is None:
+    if value is None or value == ():
         return ["none"]
     if isinstance(value, (Pose, Interval)):
         return [",".join(f"{part:g}" for part in value)]
@@ -155,6 +164,9 @@ def _spec(metavar: str, read: Callable[[list[str]], Any]) -> PrimitiveConstructo
 
 PoseOption = Annotated[Pose, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
 OptionalPose = Annotated[Pose | None, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
+PosesOption = Annotated[
+    tuple[Pose, ...], _spec("X,Y,YAW:X,Y,YAW...", lambda words: parse_poses(words[0]))
+]
 OptionalInterval = Annotated[
     Interval | None, _spec("LOW,HIGH", lambda words: parse_interval(words[0]))
 ]

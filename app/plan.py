@@ -9,7 +9,15 @@ from typing import Annotated
 
 from app.errors import ExitCode
 from app.inputs import MapOptions, RobotName, find_follower, read_grid
-from app.options import OptionalFile, OptionalTime, Pose, PoseOption, choice, number
+from app.options import (
+    OptionalFile,
+    OptionalTime,
+    Pose,
+    PoseOption,
+    PosesOption,
+    choice,
+    number,
+)
 from app.output import PICTURE_ENDINGS, require_writable, write_text
 from app.progress import say
 from planner.options import PLANNERS, PlannerOptions
@@ -29,6 +37,9 @@ class PlanOptions(MapOptions):
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
     """Where the robot stands at first, such as -1,2,0."""
+
+    via: PosesOption = ()
+    """Poses to stand at on the way, with colons between, such as 1,0,0:2,0,1.57."""
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
@@ -68,7 +79,8 @@ def run(options: PlanOptions) -> int:
     grid = read_grid(options)
 
     # Here and not above: the compiled search takes a second to load, bad input need not wait.
-    from planner.api import plan_footsteps
+    from planner.api import Planner
+    from planner.through import plan_through
 
     # A limit that the person sets takes the place of the planner's own.
     improve = options.time_limit is None and not options.prove
@@ -79,9 +91,8 @@ def run(options: PlanOptions) -> int:
         time_limit_s=options.time_limit,
         unknown_is_free=options.unknown_is_free,
     )
-    plan = plan_footsteps(
-        grid, robot.step_model, goal=options.goal, start=options.start, options=search
-    )
+    planner = Planner(grid, robot.step_model, search)
+    plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])
     plan = dataclasses.replace(plan, robot=robot.name, map=str(options.map))
     text = plan.to_json() + "\n"
     if options.out is not None:
