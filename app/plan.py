@@ -23,6 +23,8 @@ from app.progress import say
 from planner.options import PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan
 
+FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions(MapOptions):
@@ -53,6 +55,9 @@ class PlanOptions(MapOptions):
     image: OptionalFile = None
     """Draw the plan over the map into this file, such as plan.png."""
 
+    search_image: OptionalFile = None
+    """Draw where the search looked and its cost over time into this file, such as search.png."""
+
     planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
     """Which search, such as ara."""
 
@@ -75,6 +80,8 @@ def run(options: PlanOptions) -> int:
         require_writable(options.out, option="--out")
     if options.image is not None:
         require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
+    if options.search_image is not None:
+        require_writable(options.search_image, option="--search-image", endings=FIGURE_ENDINGS)
     robot = find_follower(options.robot, options.policy)
     grid = read_grid(options)
 
@@ -90,6 +97,7 @@ def run(options: PlanOptions) -> int:
         improve_expansions=PlannerOptions.improve_expansions if improve else None,
         time_limit_s=options.time_limit,
         unknown_is_free=options.unknown_is_free,
+        record=options.search_image is not None,
     )
     planner = Planner(grid, robot.step_model, search)
     plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])
@@ -101,6 +109,11 @@ def run(options: PlanOptions) -> int:
         from app.path_picture import write_path_picture
 
         write_path_picture(options.image, grid, robot.step_model, plan)
+    if options.search_image is not None and planner.record is not None:
+        from app.search_picture import write_search_picture
+
+        cell_m = robot.step_model.cell_m
+        write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
     if options.json:
         print(text, end="")
     elif plan.expansions or plan.found:

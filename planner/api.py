@@ -18,7 +18,7 @@ from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
 from planner.refine import refine
-from planner.request import Request, Result
+from planner.request import Request, Result, SearchRecord
 from planner.space import build_space
 from planner.tables import tables_of
 from planner.toward import Toward
@@ -52,6 +52,8 @@ class Planner:
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
         self._tables = tables_of(model)
         self._toward: tuple[Pose, Toward] | None = None
+        # How the last search went, if the options ask for that: expanded cells in the world.
+        self.record: SearchRecord | None = None
 
     def plan(
         self,
@@ -164,6 +166,7 @@ class Planner:
             first_side=query.first_side,
         )
         result = backend(self.options.name)(request, self.options, began)
+        self.record = _in_world(result.record, query.goal)
         plan = replace(
             plan,
             status=result.status,
@@ -218,6 +221,16 @@ def plan_footsteps(
     return Planner(grid, model, options).plan(
         goal=goal, start=start, start_feet_world=start_feet_world, first_side=first_side
     )
+
+
+def _in_world(record: SearchRecord | None, goal: Pose) -> SearchRecord | None:
+    """The record with its cells in the world."""
+    if record is None:
+        return None
+    cos, sin = math.cos(goal[2]), math.sin(goal[2])
+    x, y, states = record.expanded.T
+    x_m, y_m = goal[0] + cos * x - sin * y, goal[1] + sin * x + cos * y
+    return replace(record, expanded=np.column_stack([x_m, y_m, states]))
 
 
 def _finite(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:

@@ -15,7 +15,15 @@ from planner.lattice import MICRO
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.quick import QuickPath, quick_path
-from planner.request import Request, Result, failure, first_nodes, found, no_first_step
+from planner.request import (
+    Request,
+    Result,
+    SearchRecord,
+    failure,
+    first_nodes,
+    found,
+    no_first_step,
+)
 from planner.search import Tree
 from planner.space import Int64s
 from planner.task import Task, backward_task, forward_task
@@ -85,12 +93,15 @@ class Run:
         self._quick: QuickPath | None = None
         self._flood: Flood | None = None
         self._flood_turn = _FLOOD_TURN
+        self._moments: list[tuple[float, float, float]] = []
 
     def take(self, quick: QuickPath) -> None:
         """Takes over a plan that was found before the search proper."""
         self._quick = quick
         self.time_to_first_s = time.perf_counter() - self.began
         self.proven = quick.cost_um / min(quick.cost_um, max(quick.least_um, 1))
+        self.least_um = quick.least_um
+        self._note_moment(quick.cost_um)
 
     def quick_plan(self) -> Result:
         """The plan that was taken over."""
@@ -114,6 +125,9 @@ class Run:
             epsilon = _next_epsilon(epsilon)
         if self._best_um < search.NO_COST:
             return self._best_plan()
+        return replace(self._no_plan(), record=self._record())
+
+    def _no_plan(self) -> Result:
         expansions = self._expansions
         if self.verdict in _ENCLOSED:
             assert self._flood is not None
@@ -141,7 +155,33 @@ class Run:
             nodes = self._quick.nodes
         else:
             nodes = self.task.in_order(search.trace(self.tree, last))
-        return self._found(nodes, self._best_um, self._expansions)
+        self.least_um = int(self._best_um / self.proven)
+        self._note_moment(self._best_um)
+        plan = self._found(nodes, self._best_um, self._expansions)
+        return replace(plan, record=self._record())
+
+    def _note_moment(self, best_um: int) -> None:
+        if self.options.record:
+            cost_m = best_um / MICRO if best_um < search.NO_COST else math.inf
+            elapsed_s = time.perf_counter() - self.began
+            self._moments.append((elapsed_s, cost_m, self.least_um / MICRO))
+
+    def _record(self) -> SearchRecord | None:
+        """How the search went, if that is asked."""
+        if not self.options.record:
+            return None
+        space = self.task.space
+        done = (self.tree.round != 0).reshape(-1, 2 * space.headings).sum(axis=1)
+        cell = np.flatnonzero(done)
+        x_m = (cell % space.cols - space.origin_col) * space.cell_m
+        y_m = (cell // space.cols - space.origin_row) * space.cell_m
+        moments = np.array(self._moments).reshape(-1, 3)
+        return SearchRecord(
+            time_s=moments[:, 0],
+            cost_m=moments[:, 1],
+            least_m=moments[:, 2],
+            expanded=np.column_stack([x_m, y_m, done[cell]]),
+        )
 
     def _found(self, nodes: Int64s, cost_um: int, expansions: int) -> Result:
         return found(
@@ -167,6 +207,7 @@ class Run:
         space, heuristic = self.task.space, self.task.heuristic
         self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
         self._note_bound()
+        self._note_moment(self._best_um)
         if self.proven <= self.options.final_epsilon:
             return False
         while True:
@@ -177,6 +218,7 @@ class Run:
                     entry_next=_doubled(self.tree.entry_next),
                 )
             elif outcome == search.IMPROVED:
+                self._note_moment(self._best_um)
                 if self.time_to_first_s == 0.0:
                     self.time_to_first_s = time.perf_counter() - self.began
                     self.first_expansions = self._expansions

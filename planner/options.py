@@ -32,6 +32,7 @@ class PlannerOptions:
     stop_at_first: bool = False
     refine: bool = False
     unknown_is_free: bool = False
+    record: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -50,10 +50,26 @@ class Request:
 
 
 @dataclass(frozen=True, kw_only=True)
+class SearchRecord:
+    """How a search went.
+
+    time_s, cost_m, least_m (k,): at each of k moments the seconds since the request, the cost of
+    the best plan so far (inf before the first) and what any plan costs at least. expanded (n, 3):
+    x_m, y_m of the feet's cells in which states were expanded, in the frame of the goal's pair
+    pose, and how many.
+    """
+
+    time_s: FloatArray
+    cost_m: FloatArray
+    least_m: FloatArray
+    expanded: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
 class Result:
     """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason.
 
-    z_m (N,): height of the ground under each step.
+    z_m (N,): height of the ground under each step. record: if the options ask for one.
     """
 
     status: PlanStatus
@@ -65,6 +81,7 @@ class Result:
     epsilon: float = math.inf
     expansions: int = 0
     time_to_first_s: float = 0.0
+    record: SearchRecord | None = None
 
 
 def failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:

@@ -389,3 +389,27 @@ def request_of(grid, model, start, goal):
         stands=False,
         first_side=None,
     )
+
+
+def test_the_record_of_a_search_falls_in_cost_rises_in_bound_and_ends_with_the_plan():
+    grid, start, goal = CASES["wall"]
+    planner = Planner(grid, small_model(), PlannerOptions(record=True, improve_expansions=None))
+    plan = planner.plan(start=start, goal=goal)
+    record = planner.record
+    assert record is not None
+    assert np.all(np.diff(record.time_s) >= 0)
+    assert np.all(np.diff(record.cost_m) <= 0)
+    assert np.all(record.least_m <= plan.cost_m + 1e-9)
+    assert record.cost_m[-1] == pytest.approx(plan.cost_m, abs=1e-6)
+    assert record.least_m[-1] == pytest.approx(plan.cost_m / plan.epsilon, abs=1e-5)
+    x_m, y_m, states = record.expanded.T
+    # States of the quick search that goes first are not in the tree that the record shows.
+    assert 0 < states.sum() <= plan.expansions
+    assert np.all((x_m > -0.3) & (x_m < 2.7) & (y_m > -0.3) & (y_m < 2.7))
+
+
+def test_no_record_is_kept_that_nobody_asked_for():
+    grid, start, goal = CASES["wall"]
+    planner = Planner(grid, small_model())
+    planner.plan(start=start, goal=goal)
+    assert planner.record is None
