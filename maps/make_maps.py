@@ -128,8 +128,8 @@ STAIRS = FloorPlan(
     bounds=_STAIRS_BOUNDS,
     resolution_m=0.025,
     walls=_outline(_STAIRS_BOUNDS, 0.1),
-    # Two rooms, and between them nothing but the stairs, 1.8 m wide.
-    furniture=((2.0, -2.4, 6.2, -0.9), (2.0, 0.9, 6.2, 2.4)),
+    # Two rooms, and between them nothing but the stairs, 2.4 m wide.
+    furniture=((2.0, -2.4, 6.2, -1.2), (2.0, 1.2, 6.2, 2.4)),
     # Six steps of 10 cm up, run 0.30 m, a landing of 1.2 m, and six down. Walls stand on the
     # treads, so the picture of heights says so there as well.
     treads=tuple(

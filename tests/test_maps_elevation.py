@@ -141,4 +141,4 @@ def test_the_stairs_map_is_as_drawn(tmp_path):
     heights = grid.height_m([(x, 0.0) for x in x_m])
     assert heights.tolist() == [0.0, 0.1, 0.1, 0.2, 0.5, 0.6, 0.6, 0.5, 0.1, 0.0]
     # Nothing but the stairs leads from room to room.
-    assert (grid.blocked()[:, 170:320].sum(axis=0) == 200 - 72).all()
+    assert (grid.blocked()[:, 170:320].sum(axis=0) == 200 - 96).all()

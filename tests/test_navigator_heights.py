@@ -62,19 +62,19 @@ def test_feet_are_told_by_the_height_of_the_ground(on_landing):
 def test_treads_are_no_walls():
     scene = scene_of(STAIRS, ROBOT, False)
     data = mujoco.MjData(scene.model)
-    # Shins in the first risers, so that treads are touched; the walls are 0.9 m to either side.
+    # Shins in the first risers, so that treads are touched; the walls are 1.2 m to either side.
     data.qpos[:] = scene.qpos_at(np.array([2.0, 0.0, 0.0]))
     mujoco.mj_forward(scene.model, data)
     assert data.ncon > 4
     assert data.sensordata[scene.sensors.wall_contacts[0]] == 0
     clearance = min_clearance_m(scene, data.qpos[None])
-    assert clearance == pytest.approx(0.9 - 0.3, abs=0.1)
+    assert clearance == pytest.approx(1.2 - 0.3, abs=0.1)
 
 
 @pytest.mark.parametrize(("x_m", "ground_m"), [(1.0, 0.0), (2.15, 0.1), (4.1, 0.6), (5.75, 0.2)])
 def test_walls_stand_beside_the_robot_wherever_it_is(x_m, ground_m):
     scene = scene_of(STAIRS, ROBOT, False)
-    pose = np.array([x_m, 0.9, 0.0]) if x_m > 2 else np.array([-2.0, 0.0, 0.0])
+    pose = np.array([x_m, 1.2, 0.0]) if x_m > 2 else np.array([-2.0, 0.0, 0.0])
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.qpos_at(pose, ground_m)
     mujoco.mj_forward(scene.model, data)
