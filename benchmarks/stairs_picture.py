@@ -24,8 +24,8 @@ from controller.task_config import TaskConfig
 from sim.robots import get_robot
 
 MODES = ("stairs_over", "stairs_curved")
-MOMENTS = 5
-SHOWN_TICKS = 360
+MOMENTS = 6
+SHOWN_TICKS = 520
 
 
 def main() -> None:
@@ -35,7 +35,7 @@ def main() -> None:
     parser.add_argument("--robot", default="jvrc1")
     parser.add_argument("--policy", type=Path)
     parser.add_argument("--rise", type=float, default=0.10)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=39)
     options = parser.parse_args()
     policy = load_policy(get_robot(options.robot), options.policy)
     pictures = [
@@ -52,13 +52,13 @@ def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> 
         robot,
         count=1,
         mode=mode,
-        config=TaskConfig(exact_rise=True),
+        config=TaskConfig(exact_rise=True, episode_ticks=SHOWN_TICKS + 2),
         stage=Stage(rise_m=rise_m),
         render_mode="rgb_array",
     )
     task.restart(np.random.SeedSequence([20_000 + seed]))
     painter = Painter(task.walker.scene)
-    shown = set(np.linspace(40, SHOWN_TICKS, MOMENTS).astype(int))
+    shown = set(np.linspace(60, SHOWN_TICKS, MOMENTS).astype(int))
     pictures, observation = [], task.observe()
     for tick in range(SHOWN_TICKS + 1):
         if tick in shown:
