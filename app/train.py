@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from app.inputs import find_robot
 from app.output import make_folder, write_text
 from app.progress import ProgressBar, say
 from app.train_options import TrainOptions
-from controller.checkpoint import TrainingError
+from controller.checkpoint import TrainingError, require_room
 from controller.curriculum import PRESETS as CURRICULA
 from controller.curriculum import Curriculum
 from controller.planned import PlannedSteps
@@ -29,8 +28,6 @@ from sim.robot import Robot
 LEAST_RISE_M = 0.02
 OWN_CORPUS = "corpus"
 CORPUS_PLANS, CORPUS_SEED = 1000, 0
-# Checkpoint, the one that replaces it, policy, corpus and log take a tenth of this.
-LEAST_FREE_BYTES = 100_000_000
 
 
 def run(options: TrainOptions) -> int:
@@ -105,12 +102,8 @@ def check_folder(out: Path, *, resume: bool) -> None:
     if began and not resume:
         raise InputError(f"--out: {out} holds a run already; add --resume or name another folder")
     make_folder(out, option="--out")
-    free = shutil.disk_usage(out).free
-    if free < LEAST_FREE_BYTES:
-        raise InputError(
-            f"--out: too little disk: {free / 1e6:.0f} MB are free in {out}, "
-            f"a run needs {LEAST_FREE_BYTES / 1e6:.0f} MB"
-        )
+    with as_bad_input(TrainingError):
+        require_room(out)
 
 
 def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:

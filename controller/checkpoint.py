@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
 CHECKPOINT_FORMAT = "walk-training/2"
+# Checkpoint, the one that replaces it, policy, corpus and log together take a fifth of this.
+LEAST_FREE_BYTES = 50_000_000
 
 
 class TrainingError(ValueError):
@@ -38,6 +41,19 @@ class Checkpoint:
     best_score: tuple[float, float]
     history: list[dict[str, Any]]
     learner: dict[str, Any]
+
+
+def require_room(folder: Path) -> None:
+    """Raises TrainingError where the disk of a folder is too full for a run to go on.
+
+    Later is too late: TensorBoard writes in a thread of its own, which ends in a traceback.
+    """
+    free = shutil.disk_usage(folder).free
+    if free < LEAST_FREE_BYTES:
+        raise TrainingError(
+            f"too little disk: {free / 1e6:.0f} MB are free in {folder}, "
+            f"a run needs {LEAST_FREE_BYTES / 1e6:.0f} MB"
+        )
 
 
 def write_checkpoint(folder: Path, config: TrainConfig, robot: Robot, state: Checkpoint) -> None:

@@ -7,7 +7,6 @@ uninterrupted one gives, whatever the number of physics threads.
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -19,12 +18,19 @@ import numpy as np
 import torch
 
 from controller.assess import ModeResult
-from controller.checkpoint import Checkpoint, TrainingError, read_checkpoint, write_checkpoint
+from controller.checkpoint import (
+    Checkpoint,
+    TrainingError,
+    read_checkpoint,
+    require_room,
+    write_checkpoint,
+)
 from controller.env import WalkTask
 from controller.held_out import assess_stage, score
 from controller.planned import PlannedSteps
 from controller.policy import Policy, fitting, save_policy
 from controller.ppo import RslWalkEnv, actor_layers, make_ppo, set_progress
+from controller.revision import git_revision
 from controller.tally import Report, Tally
 from controller.train_config import TrainConfig
 from sim.robot import Robot
@@ -74,6 +80,7 @@ class Trainer:
         try:
             with SummaryWriter(log_dir=str(self.out / "tensorboard")) as writer:
                 while self.segment < self.config.segments:
+                    require_room(self.out)
                     report = self._run_segment(writer)
                     # Before the checkpoint: who resumes from it relies on the policy being there.
                     if report.best:
@@ -213,17 +220,3 @@ class Trainer:
             ) from error
         self.segment, self.stage = state.segment, state.stage
         self.best_score, self.history = state.best_score, state.history
-
-
-def git_revision() -> str:
-    """The revision of the code that trains, or 'unknown' outside a checkout."""
-    try:
-        return subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"],
-            cwd=Path(__file__).parent,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"

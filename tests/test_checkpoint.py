@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,3 +141,11 @@ def test_full_disk_ends_the_run_in_one_line_and_keeps_the_last_checkpoint(saved,
     assert writes == policy * 2
     assert read_checkpoint(saved.out, SMALL, saved.robot).segment == 1
     assert not (saved.out / "checkpoint.pt.tmp").exists()
+
+
+def test_run_stops_before_the_disk_is_full(saved, monkeypatch):
+    free = iter([60_000_000, 40_000_000])
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=next(free)))
+    with pytest.raises(TrainingError, match=r"too little disk: 40 MB .* needs 50 MB"):
+        run_of(saved, monkeypatch, [])
+    assert read_checkpoint(saved.out, SMALL, saved.robot).segment == 1

@@ -100,7 +100,7 @@ def test_too_little_disk_is_told_before_any_work(tmp_path, trainers, capsys, mon
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3_000_000))
     error = refusal(["--out", tmp_path / "run"], capsys)
     assert "too little disk: 3 MB are free" in error
-    assert "a run needs 100 MB" in error
+    assert "a run needs 50 MB" in error
     assert not (tmp_path / "run" / "corpus").exists()
 
 
