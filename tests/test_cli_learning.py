@@ -1,4 +1,4 @@
-"""The commands `evaluate`, `trials` and `train` from the words typed to what they write and say."""
+"""The commands `evaluate` and `trials` from the words typed to what they write and say."""
 
 from __future__ import annotations
 
@@ -54,13 +54,3 @@ def test_missing_policy_is_told_in_one_line(command, tmp_path, capsys):
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "no policy file none.safetensors" in error
-
-
-def test_train_refuses_a_folder_that_it_cannot_use(tmp_path, capsys):
-    assert main(["train", "--resume", "--out", str(tmp_path)]) == 2
-    assert "holds no checkpoint.pt to resume from" in capsys.readouterr().err
-    (tmp_path / "checkpoint.pt").write_bytes(b"something")
-    assert main(["train", "--out", str(tmp_path)]) == 2
-    assert "holds a run already; add --resume" in capsys.readouterr().err
-    assert main(["train", "--resume", "--out", str(tmp_path)]) == 2
-    assert "damaged" in capsys.readouterr().err

@@ -83,6 +83,19 @@ def test_folder_to_resume_from_must_hold_a_run(tmp_path, trainers, capsys):
     assert trainers == []
 
 
+def test_checkpoint_that_cannot_be_taken_up_is_told_in_one_line(
+    tmp_path, trainers, capsys, monkeypatch
+):
+    def refuse(trainer):
+        raise TrainingError("checkpoint.pt is from another layout")
+
+    assert main(["train", "--out", str(tmp_path), "--workers", "1"]) == 0
+    capsys.readouterr()
+    monkeypatch.setattr(Pretended, "resume", refuse)
+    error = refusal(["--resume", "--out", tmp_path], capsys)
+    assert error == "error: checkpoint.pt is from another layout\n"
+
+
 def test_corpus_of_another_robot_is_refused(tmp_path, trainers, capsys):
     plans = tmp_path / "plans"
     plans.mkdir()
@@ -109,7 +122,7 @@ def test_disk_that_fills_up_ends_the_run_in_one_line(tmp_path, trainers, capsys,
         raise TrainingError("cannot write in DIR: No space left on device; make room")
 
     monkeypatch.setattr(Pretended, "run", fill)
-    assert main(["train", "--out", str(tmp_path)]) == 2
+    assert main(["train", "--out", str(tmp_path), "--workers", "1"]) == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == "error: cannot write in DIR: No space left on device; make room"
 
