@@ -47,7 +47,6 @@ def _draw_expanded(
         x, y, states = record.expanded.T
         order = np.argsort(states)
         norm = LogNorm(1, max(2.0, float(states.max())))
-        axes.figure.draw_without_rendering()
         points_per_m = 72 * figure.get_size_inches()[0] * 0.5 / max(grid.size_m)
         size = max(0.5, (cell_m * points_per_m) ** 2)
         seen = axes.scatter(

@@ -34,7 +34,7 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
         if not plan.found:
             plan = replace(plan, reason=f"leg {number} of {len(poses)}: {plan.reason}")
         legs.append(plan)
-    last = legs[-1]
+    last, (x_m, y_m, yaw_rad) = legs[-1], np.asarray(poses[-1])
     walked = legs if last.found else []
     before_m = [leg.cost_m if leg.cost_before_m is None else leg.cost_before_m for leg in walked]
     refined = any(leg.cost_before_m is not None for leg in walked)
@@ -42,7 +42,7 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
         last,
         start_feet_world=legs[0].start_feet_world,
         start=legs[0].start,
-        goal=tuple(float(v) for v in np.asarray(poses[-1])),
+        goal=(float(x_m), float(y_m), float(yaw_rad)),
         side=np.concatenate([leg.side for leg in walked] or [np.zeros(0, np.int8)]),
         pose_world=np.concatenate([leg.pose_world for leg in walked] or [np.zeros((0, 4))]),
         cost_m=sum(leg.cost_m for leg in walked),

@@ -130,7 +130,10 @@ def test_drawn_steps_begin_on_corners_and_stay_within():
     rng = np.random.default_rng(0)
     usual = [(0.1, 0.2, 0.0), (0.2, 0.2, 0.0)]
     corners = list(itertools.product(NARROW.x_m, NARROW.y_m, NARROW.yaw_rad))
-    not_the_last = lambda steps: ~np.isclose(steps, corners[-1]).all(axis=1)  # noqa: E731
+
+    def not_the_last(steps: np.ndarray) -> np.ndarray:
+        return np.asarray(~np.isclose(steps, corners[-1]).all(axis=1))
+
     draw = anywhere_within(NARROW, usual, not_the_last)
     walks = [draw(rng, 12, row) for row in range(60)]
     steps = np.array([relative for relative, _ in walks])

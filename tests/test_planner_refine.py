@@ -88,7 +88,7 @@ def assert_laws(grid, model, before, after, stood_freely=True):
 def test_plans_among_random_obstacles_keep_all_laws_and_get_cheaper(seed):
     grid, rng = random_floor(seed)
     model = small_model(**(SHY if seed % 3 else {"cell_m": 0.05, "headings": 16}))
-    saved = []
+    saved: list[float] = []
     while len(saved) < 5:
         start, goal = rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (2, 3))
         start[:2], goal[:2] = grid.grid_to_world([start[:2], goal[:2]])
@@ -293,7 +293,7 @@ def test_the_gap_between_feet_is_that_of_the_lattice():
     rng = np.random.default_rng(0)
     half_l, half_w = model.foot.length_m / 2 + 0.01, model.foot.width_m / 2 + 0.01
     steps = rng.uniform((-0.3, 0.0, -1.0), (0.3, 0.3, 1.0), (400, 3))
-    gaps = [gap_axis(*step, half_l, half_w)[0] for step in steps]
+    gaps = [gap_axis(x, y, yaw, half_l, half_w)[0] for x, y, yaw in steps]
     assert (np.array(gaps) >= 0).tolist() == feet_apart(steps, model.foot, 0.02).tolist()
 
 

@@ -381,6 +381,7 @@ def oracle_node(space, node):
 def request_of(grid, model, start, goal):
     planner = Planner(grid, model)
     planner.plan(start=start, goal=goal)
+    assert planner._toward is not None
     feet = feet_at(start, model.stance_width_m)
     return Request(
         toward=planner._toward[1],
