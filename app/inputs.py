@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Annotated
 
 from app.errors import as_bad_input
-from app.options import FileOption, OptionalLength, OptionalPose, text
+from app.options import FileOption, OptionalLength, OptionalPose, choice, text
 from controller.follower import as_measured
 from controller.policy import PolicyError
 from maps.grid import OccupancyGrid
 from maps.reader import MapError, load_map
+from planner.options import PLANNERS
 from sim.robot import Robot
 from sim.robots import get_robot
 
@@ -34,6 +35,7 @@ class MapOptions:
 
 
 RobotName = Annotated[str, text("NAME")]
+PlannerName = Annotated[str, choice(*PLANNERS)]
 
 
 def read_grid(options: MapOptions) -> OccupancyGrid:

@@ -22,7 +22,6 @@ from app.report import FootError, NavigationReport, Outcome, PolicyFile, install
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
-from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
 from sim.clearance import min_clearance_m
 from sim.robot import Robot
@@ -74,7 +73,7 @@ def walked(
         start=options.start,
         goal=options.goal,
         seed=options.seed,
-        config=NavigatorConfig(planner=PlannerOptions(unknown_is_free=options.unknown_is_free)),
+        config=NavigatorConfig(planner=options.search),
     )
     plan = navigator.plan()
     with ProgressBar("walking, steps", len(plan)) as bar:

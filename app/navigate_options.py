@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from app.inputs import MapOptions, RobotName
+from app.inputs import MapOptions, PlannerName, RobotName
 from app.options import FolderOption, OptionalFile, Pose, PoseOption, whole_number
 from app.progress import say
+from planner.options import PlannerOptions
 from sim.gl import NoGlError, prepare_gl, switch_gl_off
 
 
@@ -30,6 +31,9 @@ class NavigateOptions(MapOptions):
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
 
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
@@ -57,6 +61,13 @@ class NavigateOptions(MapOptions):
 
     json: bool = False
     """Print report.json on standard output, and nothing else there."""
+
+    @property
+    def search(self) -> PlannerOptions:
+        """What the planner is told."""
+        return PlannerOptions(
+            name=self.planner, unknown_is_free=self.unknown_is_free, seed=self.seed
+        )
 
     @property
     def draws_robot(self) -> bool:

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.errors import ExitCode
-from app.inputs import MapOptions, RobotName, find_follower, read_grid
+from app.inputs import MapOptions, PlannerName, RobotName, find_follower, read_grid
 from app.options import (
     OptionalFile,
     OptionalTime,
     Pose,
     PoseOption,
     PosesOption,
-    choice,
     number,
+    whole_number,
 )
 from app.output import PICTURE_ENDINGS, require_writable, write_text
 from app.progress import say
-from planner.options import PLANNERS, PlannerOptions
+from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
 
 FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
@@ -58,8 +58,11 @@ class PlanOptions(MapOptions):
     search_image: OptionalFile = None
     """Draw where the search looked and its cost over time into this file, such as search.png."""
 
-    planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
-    """Which search, such as ara."""
+    planner: PlannerName = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = PlannerOptions.seed
+    """Seed of the planners that draw at random, such as 7."""
 
     epsilon: Annotated[float, number(at_least=1.0)] = PlannerOptions.epsilon
     """Weight of the first search, such as 3; later ones go down to 1, the optimum."""
@@ -98,6 +101,7 @@ def run(options: PlanOptions) -> int:
         time_limit_s=options.time_limit,
         unknown_is_free=options.unknown_is_free,
         record=options.search_image is not None,
+        seed=options.seed,
     )
     planner = Planner(grid, robot.step_model, search)
     plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])

@@ -30,7 +30,9 @@ def run(options: ServeOptions) -> int:
             return robot, load_policy(robot, options.policy)
 
     robot, policy = load(options.robot)
-    plan_options = PlannerOptions(unknown_is_free=options.unknown_is_free)
+    plan_options = PlannerOptions(
+        name=options.planner, unknown_is_free=options.unknown_is_free, seed=options.seed
+    )
     server = open_server(host=options.host, port=options.port, title=f"Footfall: {options.map}")
     session = Session(
         grid, robot, policy, start=options.start, options=plan_options, seed=options.seed

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from app.inputs import MapOptions, RobotName
+from app.inputs import MapOptions, PlannerName, RobotName
 from app.options import OptionalFile, Pose, PoseOption, text, whole_number
+from planner.options import PlannerOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +26,9 @@ class ServeOptions(MapOptions):
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner at first, such as ara; docs/planners.md tells them apart."""
 
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""

@@ -52,6 +52,7 @@ class Course:
     robot: str
     policy: Path | None
     unknown_is_free: bool
+    planner: str = PlannerOptions.name
 
 
 def run(options: TrialsOptions) -> int:
@@ -65,6 +66,7 @@ def run(options: TrialsOptions) -> int:
         robot=robot.name,
         policy=options.policy,
         unknown_is_free=options.unknown_is_free,
+        planner=options.planner,
     )
     trials = draw_trials(course, options.count, options.apart, options.seed)
     results = []
@@ -138,7 +140,7 @@ def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
-        config=NavigatorConfig(planner=_search(course)),
+        config=NavigatorConfig(planner=_search(course, trial)),
     )
     plan = navigator.plan()
     while navigator.outcome is None:
@@ -209,5 +211,7 @@ def _percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float] | Non
     return {"median": float(median), "p95": float(p95), "max": float(np.max(values))}
 
 
-def _search(course: Course) -> PlannerOptions:
-    return PlannerOptions(unknown_is_free=course.unknown_is_free)
+def _search(course: Course, trial: Trial) -> PlannerOptions:
+    return PlannerOptions(
+        name=course.planner, unknown_is_free=course.unknown_is_free, seed=trial.seed
+    )

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from app.inputs import MapOptions, RobotName
+from app.inputs import MapOptions, PlannerName, RobotName
 from app.options import FolderOption, OptionalFile, number, whole_number
+from planner.options import PlannerOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +27,9 @@ class TrialsOptions(MapOptions):
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
 
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""

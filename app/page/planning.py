@@ -24,6 +24,8 @@ from planner.plan import FootstepPlan, PlanStatus, Pose, pair_pose
 PATIENCE_S = 0.2
 # How long a plan that is there already is improved.
 POLISH_S = 1.0
+# Longer than any planner takes that is still alive.
+_ENDLESS_S = 600.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,13 +116,22 @@ class PlanningProcess:
         return kept
 
     def plan(
-        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+        self,
+        *,
+        goal: Sequence[float],
+        start_feet_world: np.ndarray,
+        first_side: Side | None,
+        patience_s: float | None = None,
     ) -> FootstepPlan:
-        """The best plan that is there in time; status TIMED_OUT if none is."""
+        """The best plan that is there in time; status TIMED_OUT if none is.
+
+        patience_s: instead of the planner's own.
+        """
+        patience_s = self.patience_s if patience_s is None else patience_s
         began = time.monotonic()
         self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side)
         best: FootstepPlan | None = None
-        while (left_s := self.patience_s - (time.monotonic() - began)) > 0:
+        while (left_s := patience_s - (time.monotonic() - began)) > 0:
             self._receive(left_s)
             for answer in self.answers():
                 best = answer.plan
@@ -134,7 +145,7 @@ class PlanningProcess:
             start=(start[0], start[1], start[2]),
             goal=(end[0], end[1], end[2]),
             status=PlanStatus.TIMED_OUT,
-            reason=f"no plan within {self.patience_s:g} s",
+            reason=f"no plan within {patience_s:g} s",
             epsilon=math.inf,
             time_s=time.monotonic() - began,
         )
@@ -172,6 +183,27 @@ class PlanningProcess:
         self._pipe.close()
         self._process.join(timeout=1.0)
         self._start()
+
+
+class PatientPlanner:
+    """Asks a planner in another process and waits until it is done, as if it were in this one.
+
+    For planners that would hold Python's global lock, and so the page, for as long as they plan.
+    """
+
+    def __init__(self, process: PlanningProcess) -> None:
+        self._process = process
+
+    def plan(
+        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+    ) -> FootstepPlan:
+        """The plan, however long it takes."""
+        return self._process.plan(
+            goal=goal,
+            start_feet_world=start_feet_world,
+            first_side=first_side,
+            patience_s=_ENDLESS_S,
+        )
 
 
 def _work(pipe: Connection) -> None:

@@ -12,17 +12,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from app.errors import InputError
-from app.navigator import Navigator, NavigatorConfig
+from app.navigator import Navigator, NavigatorConfig, PlansSteps
 from app.page.boxes import Obstacle, with_obstacles
 from app.page.pace import Pace
-from app.page.planning import Answer, PlanningProcess, World
+from app.page.planning import Answer, PatientPlanner, PlanningProcess, World
 from app.page.record import Record
 from app.page.rover import Ahead, Rover
 from app.page.snapshot import Notice, Snapshot
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
-from planner.options import PlannerOptions
+from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, Pose
 from sim.robot import Robot
 
@@ -289,6 +289,10 @@ class Session:
         grid = with_obstacles(self._bare_grid, self._obstacles)
         return World(grid=grid, model=self._robot.step_model, options=self._options)
 
+    def _own_planner(self) -> PlansSteps | None:
+        """The planner of a robot with a goal; None for one in this process, if that is quick."""
+        return PatientPlanner(self._planner) if self._options.name in SAMPLING_PLANNERS else None
+
     def _place(self, goal: Sequence[float] | None = None) -> None:
         """A robot that stands at the start, or one with a goal that plans for itself."""
         world = self._world()
@@ -300,7 +304,7 @@ class Session:
             goal=self._start if goal is None else _pose(goal),
             seed=self._seed,
             config=NavigatorConfig(planner=self._options),
-            planner=self._planner if goal is None else None,
+            planner=self._planner if goal is None else self._own_planner(),
         )
         self._idle_s = 0.0
         if goal is None:

@@ -15,7 +15,6 @@ from app.page.session import Session
 from app.progress import say
 from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
-from planner.options import PlannerOptions
 from sim.robot import Robot
 from sim.robots import robot_names
 
@@ -36,7 +35,6 @@ def viewed(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
 ) -> Iterator[Navigator]:
     """Gives the walk when it is over; on leaving, the page goes on until Ctrl-C."""
-    planner = PlannerOptions(unknown_is_free=options.unknown_is_free)
     server = open_server(title=f"Footfall: {options.map}")
     session = Session(
         grid,
@@ -44,11 +42,13 @@ def viewed(
         policy,
         start=options.start,
         goal=options.goal,
-        options=planner,
+        options=options.search,
         seed=options.seed,
     )
     try:
-        page = Page(server, session, robot, robots=robot_names(), load=load_robot, options=planner)
+        page = Page(
+            server, session, robot, robots=robot_names(), load=load_robot, options=options.search
+        )
         say(f"open {server.url} in a browser to watch; the walk begins when it is open")
         page.wait_for_visitor()
         session.start()
