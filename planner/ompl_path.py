@@ -203,7 +203,8 @@ def _solution(problem: Any) -> FloatArray | None:
 
 def _fast_marching(task: _Task, watch: _Watch) -> FloatArray | None:
     """Corners by FMT*, which is asked again with twice the samples while it finds nothing."""
-    samples, most = watch.effort.more, watch.effort.most
+    most = watch.effort.most
+    samples = min(watch.effort.more, most)
     while samples <= most and not watch.is_late():
         planner, problem = geometric.FMT(task.information), task.problem()
         planner.setNumSamples(samples)
