@@ -43,10 +43,15 @@ GRID = walled(boxes=((0, 11, 15, 12),), origin=(-1.0, 2.0, 0.6))
 START, GOAL = (-0.885, 2.806, 0.9), (0.09, 3.594, 2.0)
 
 
+@pytest.fixture(scope="module")
+def best_m():
+    """Least cost of any plan on the lattice from start to goal."""
+    return Oracle(GRID, small_model(), GOAL).best_cost(START)
+
+
 @pytest.mark.parametrize("name", SAMPLING_PLANNERS)
-def test_each_finds_a_plan_round_a_wall_that_is_right_and_repeats(name):
+def test_each_finds_a_plan_round_a_wall_that_is_right_and_repeats(name, best_m):
     model = small_model()
-    best_m = Oracle(GRID, model, GOAL).best_cost(START)
     plans = {}
     for first in (True, False):
         options = PlannerOptions(name=name, stop_at_first=first)
