@@ -208,6 +208,7 @@ def _fast_marching(task: _Task, watch: _Watch) -> FloatArray | None:
     while samples <= most and not watch.is_late():
         planner, problem = geometric.FMT(task.information), task.problem()
         planner.setNumSamples(samples)
+        planner.setExtendedFMT(False)  # which would go on drawing for ever
         planner.setProblemDefinition(problem)
         planner.setup()
         planner.solve(base.PlannerTerminationCondition(watch.is_late))

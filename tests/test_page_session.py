@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.navigator import Navigator
+from app.navigator import Navigator, NavigatorConfig
 from app.page.boxes import Obstacle, snapped
+from app.page.planning import PatientPlanner
 from app.page.rover import Rover
 from app.page.session import Session
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid
 from planner.api import Planner
+from planner.options import PlannerOptions
 from sim.robots import get_robot
 
 ROBOT = get_robot("jvrc1")
@@ -141,12 +143,17 @@ def test_a_planner_that_dies_is_replaced(session):
     wait_for(session, lambda now: now.goal[0] == 1.5)
 
 
-def test_with_a_goal_it_walks_as_navigate_does():
-    walk = Navigator(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=AHEAD, seed=3)
+@pytest.mark.parametrize("name", ["ara", "rrtconnect"])
+def test_with_a_goal_it_walks_as_navigate_does(name):
+    # The second plans in another process, because it would hold up this one.
+    options = PlannerOptions(name=name, seed=3)
+    config = NavigatorConfig(planner=options)
+    walk = Navigator(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=AHEAD, seed=3, config=config)
     walk.plan()
     while walk.outcome is None:
         walk.tick()
-    session = Session(HALL, ROBOT, POLICY, goal=AHEAD, seed=3)
+    session = Session(HALL, ROBOT, POLICY, goal=AHEAD, seed=3, options=options)
+    assert isinstance(session._rover._planner, PatientPlanner) == (name == "rrtconnect")
     session.pace.factor = math.inf
     session.start()
     try:

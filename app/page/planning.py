@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,12 +30,16 @@ _ENDLESS_S = 600.0
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
-    """What is asked: from both feet (2, 4) to a pair pose; `number` tells answers apart."""
+    """What is asked: from both feet (2, 4) to a pair pose; `number` tells answers apart.
+
+    once: there is one answer, the plan that the world's options make as they stand.
+    """
 
     number: int
     goal: Pose
     start_feet_world: np.ndarray
     first_side: Side | None
+    once: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +99,12 @@ class PlanningProcess:
         self._send(world)
 
     def ask(
-        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+        self,
+        *,
+        goal: Sequence[float],
+        start_feet_world: np.ndarray,
+        first_side: Side | None,
+        once: bool = False,
     ) -> int:
         """Asks for a plan; returns the number of its answers. Older questions are dropped."""
         self._number += 1
@@ -105,6 +114,7 @@ class PlanningProcess:
             goal=(x_m, y_m, yaw_rad),
             start_feet_world=np.array(start_feet_world),
             first_side=first_side,
+            once=once,
         )
         self._send(self._open)
         return self._number
@@ -121,15 +131,15 @@ class PlanningProcess:
         goal: Sequence[float],
         start_feet_world: np.ndarray,
         first_side: Side | None,
-        patience_s: float | None = None,
+        once: bool = False,
     ) -> FootstepPlan:
         """The best plan that is there in time; status TIMED_OUT if none is.
 
-        patience_s: instead of the planner's own.
+        once: the plan that the world's options make as they stand, however long it takes.
         """
-        patience_s = self.patience_s if patience_s is None else patience_s
+        patience_s = _ENDLESS_S if once else self.patience_s
         began = time.monotonic()
-        self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side)
+        self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=once)
         best: FootstepPlan | None = None
         while (left_s := patience_s - (time.monotonic() - began)) > 0:
             self._receive(left_s)
@@ -199,17 +209,14 @@ class PatientPlanner:
     ) -> FootstepPlan:
         """The plan, however long it takes."""
         return self._process.plan(
-            goal=goal,
-            start_feet_world=start_feet_world,
-            first_side=first_side,
-            patience_s=_ENDLESS_S,
+            goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=True
         )
 
 
 def _work(pipe: Connection) -> None:
     """The other process: answers the newest question, until the pipe closes."""
     world: World | None = None
-    planners: tuple[Planner, Planner] | None = None
+    planners: _Planners | None = None
     try:
         while True:
             query: Query | None = None
@@ -234,23 +241,32 @@ def _warm_up(world: World) -> None:
     Planner(floor, world.model, world.options).plan(start=(1.0, 1.5, 0.0), goal=(1.5, 1.5, 0.0))
 
 
-def _planners(world: World) -> tuple[Planner, Planner]:
-    """One that is content with the first plan, and one that goes on to a better one."""
+class _Planners(NamedTuple):
+    """One content with the first plan, one that goes on for a while, and one as it is asked for."""
+
+    quick: Planner
+    thorough: Planner
+    plain: Planner
+
+
+def _planners(world: World) -> _Planners:
     quick = replace(world.options, stop_at_first=True)
     thorough = replace(world.options, time_limit_s=POLISH_S)
-    return Planner(world.grid, world.model, quick), Planner(world.grid, world.model, thorough)
+    return _Planners(
+        *(Planner(world.grid, world.model, o) for o in (quick, thorough, world.options))
+    )
 
 
-def _answer(
-    pipe: Connection, world: World, planners: tuple[Planner, Planner], query: Query
-) -> None:
+def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -> None:
     asked: dict[str, Any] = {
         "goal": query.goal,
         "start_feet_world": query.start_feet_world,
         "first_side": query.first_side,
     }
-    quick, thorough = planners
-    plan = quick.plan(**asked)
+    if query.once:
+        pipe.send(Answer(number=query.number, plan=planners.plain.plan(**asked)))
+        return
+    plan = planners.quick.plan(**asked)
     improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
     offer = None
     if plan.status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
@@ -259,6 +275,6 @@ def _answer(
         offer = offer and (float(offer[0]), float(offer[1]), float(offer[2]))
     pipe.send(Answer(number=query.number, plan=plan, offer=offer, is_last=not improvable))
     if improvable and not pipe.poll():
-        better = thorough.plan(**asked)
+        better = planners.thorough.plan(**asked)
         plan = replace(better, time_to_first_s=plan.time_s) if better.found else plan
         pipe.send(Answer(number=query.number, plan=plan))
