@@ -108,6 +108,7 @@ def wanted_plans(options: DatasetOptions, robot: Robot) -> RandomPlans:
         options=PlannerOptions(
             name=options.planner,
             max_expansions=MOST_EXPANSIONS,
+            refine=options.refine,
             unknown_is_free=options.unknown_is_free,
         ),
     )

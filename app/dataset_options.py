@@ -74,6 +74,9 @@ class DatasetOptions:
     planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
     """Which search, such as ara."""
 
+    refine: bool = False
+    """Move the steps of each plan off the lattice to where they cost less."""
+
     workers: Annotated[int, whole_number(at_least=0)] = 0
     """Processes that plan, such as 2; 0 for all cores."""
 

@@ -118,7 +118,7 @@ def write_histograms(path: Path, corpus: Corpus, model: StepModel) -> None:
             _histogram(axes[0, k], factor * steps[corpus.side == side, k], side, (low, high))
         axes[0, k].set_xlabel(f"{name} [{unit}]")
     axes[0, 0].set_ylabel("steps")
-    axes[0, 0].legend(frameon=False)
+    axes[0, 1].legend(frameon=False, loc="center", bbox_to_anchor=(0.65, 0.75))
     _lengths_and_goals(axes[1], corpus)
     figure.suptitle(
         f"{len(corpus)} plans of {corpus.robot}, {len(corpus.side)} steps; dotted: the step limits"

@@ -85,11 +85,11 @@ def floor_around(poses: Sequence[Pose], model: StepModel) -> OccupancyGrid:
 def random_plans(wanted: RandomPlans, numbers: Iterable[int]) -> list[Drawn]:
     """The plans of these numbers."""
     terrain = terrain_of(wanted.grid, wanted.options.unknown_is_free)
-    planner = Planner(wanted.grid, wanted.model, wanted.options)
-    return [_draw(wanted, number, terrain, planner) for number in numbers]
+    shared = Planner(wanted.grid, wanted.model, wanted.options)
+    return [_draw(wanted, number, terrain, shared) for number in numbers]
 
 
-def _draw(wanted: RandomPlans, number: int, terrain: Terrain, planner: Planner) -> Drawn:
+def _draw(wanted: RandomPlans, number: int, terrain: Terrain, shared: Planner) -> Drawn:
     """Draws start, goal and obstacles until there is a plan."""
     rng = np.random.default_rng(np.random.SeedSequence(wanted.seed, spawn_key=(number,)))
     refused: Counter[str] = Counter()
@@ -104,16 +104,35 @@ def _draw(wanted: RandomPlans, number: int, terrain: Terrain, planner: Planner) 
             refused[NO_ROOM] += 1
             reason = "no room for the obstacles beside start and goal"
             continue
-        if len(boxes):
-            grid = with_boxes(wanted.grid, boxes)
-            planner = Planner(grid, wanted.model, wanted.options)
-        plan = planner.plan(start=start, goal=goal)
+        plan = _planner(wanted, shared, start, goal, boxes).plan(start=start, goal=goal)
         if plan.found:
             return Drawn(plan=plan, box=boxes, refused=refused)
         refused[plan.status] += 1
         reason = plan.reason
         searches += 1
     return Drawn(plan=None, box=np.zeros((0, 5)), refused=refused, reason=reason)
+
+
+def _planner(
+    wanted: RandomPlans, shared: Planner, start: Pose, goal: Pose, boxes: Floats
+) -> Planner:
+    """The planner over the floor of one plan; shared is the one without obstacles."""
+    if len(boxes):
+        return Planner(with_boxes(wanted.grid, boxes), wanted.model, wanted.options)
+    if not wanted.grid.cells.any() and wanted.grid.elevation_m is None:
+        # The search looks at all the floor there is, and on an empty one the way needs little.
+        around = floor_around([start, goal], wanted.model)
+        if _holds(wanted.grid, around):
+            return Planner(around, wanted.model, wanted.options)
+    return shared
+
+
+def _holds(floor: OccupancyGrid, part: OccupancyGrid) -> bool:
+    """Whether a part lies within a floor."""
+    low, high = part.bounds_world()[:2], part.bounds_world()[2:]
+    corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
+    inside = floor.world_to_grid(corners)
+    return bool(np.all((inside >= -1e-9) & (inside <= np.array(floor.size_m) + 1e-9)))
 
 
 def _goal(wanted: RandomPlans, rng: np.random.Generator) -> Pose:

@@ -25,7 +25,9 @@ from maps.reader import find_map, load_map
 from maps.writer import copy_map
 from planner.corpus import Corpus
 from planner.model import StepModel
+from planner.options import PlannerOptions
 from planner.random_plans import RandomPlans, floor_around, random_plans
+from planner.verify import violations
 from sim.robots import get_robot
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -89,7 +91,8 @@ def test_the_same_bytes_whatever_the_workers(tmp_path):
         assert picture.std() > 5
 
 
-def test_a_plan_does_not_depend_on_those_before_it():
+@pytest.mark.parametrize("planner", ["ara", "rrtconnect"])
+def test_a_plan_does_not_depend_on_those_before_it(planner):
     floor = floor_around([(0.0, -1.0, 0.0), (2.0, 1.0, 0.0)], MODEL)
     wanted = RandomPlans(
         grid=floor,
@@ -99,6 +102,7 @@ def test_a_plan_does_not_depend_on_those_before_it():
         goal_yaw_rad=(-1.0, 1.0),
         start=(0.0, 0.0, 0.0),
         obstacles=2,
+        options=PlannerOptions(name=planner, refine=planner == "ara"),
     )
     together, alone = random_plans(wanted, [0, 1, 2])[2], random_plans(wanted, [2])[0]
     assert together.plan is not None
@@ -107,6 +111,20 @@ def test_a_plan_does_not_depend_on_those_before_it():
     np.testing.assert_array_equal(together.box, alone.box)
     other = random_plans(dataclasses.replace(wanted, seed=1), [2])[0]
     assert not np.array_equal(together.box, other.box)
+
+
+def test_an_empty_map_has_edges_all_the_same():
+    room = OccupancyGrid(cells=np.zeros((50, 50), np.uint8), resolution_m=0.05)
+    wanted = RandomPlans(
+        grid=room,
+        model=MODEL,
+        goal_x_m=(0.0, 2.5),
+        goal_y_m=(0.0, 2.5),
+        goal_yaw_rad=(-3.0, 3.0),
+    )
+    for drawn in random_plans(wanted, range(5)):
+        assert drawn.plan is not None
+        assert violations(drawn.plan, room, MODEL) == []
 
 
 def check(capsys, folder: Path, *words: str) -> tuple[int, dict[str, Any], list[str]]:
