@@ -48,7 +48,7 @@ def test_a_walk_up_on_the_landing_is_a_walk(on_landing):
     assert on_landing.outcome is Outcome.REACHED, on_landing.reason
     assert len(on_landing.placed) == len(on_landing.plans[0]) >= 3
     heights = np.array(on_landing.qpos)[:, 2]
-    assert np.abs(heights - heights[0]).max() < 0.1
+    assert heights.min() > 0.6 + ROBOT.fallen_height_m
     assert heights[0] == pytest.approx(0.6 + ROBOT.pelvis_height_m, abs=0.01)
 
 
@@ -57,6 +57,18 @@ def test_feet_are_told_by_the_height_of_the_ground(on_landing):
         assert placed.asked_world[2] == placed.placed_world[2] == 0.6
         assert placed.error_m < 0.05
     assert (on_landing.plans[0].start_feet_world[:, 2] == 0.6).all()
+
+
+def test_the_shipped_policy_walks_over_the_stairs():
+    over = walk(navigator((1.4, 0.1, 0.0), (6.8, 0.0, 0.2)))
+    assert over.outcome is Outcome.REACHED, over.reason
+    heights = np.array([placed.placed_world[2] for placed in over.placed])
+    assert heights.max() == 0.6
+    assert heights[-1] == 0.0
+    # The whole robot is up there, not only its feet.
+    pelvis_m = np.array(over.qpos)[:, 2]
+    assert pelvis_m.max() > 0.6 + ROBOT.fallen_height_m
+    assert pelvis_m[-1] < pelvis_m.max() - 0.4
 
 
 def test_treads_are_no_walls():
