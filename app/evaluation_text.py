@@ -47,8 +47,10 @@ def cell(value: float | None, form: str = "{:.1f}", scale: float = 1.0) -> str:
     return "-" if value is None else form.format(scale * value)
 
 
-def _pair(row: Document, first: str, second: str, scale: float = 100.0) -> str:
-    return "-" if row[first] is None else f"{scale * row[first]:.1f} / {scale * row[second]:.1f}"
+def _pair(row: Document, first: str, second: str, scale: float = 100.0, unit: str = " cm") -> str:
+    if row[first] is None:
+        return "-"
+    return f"{scale * row[first]:.1f} / {scale * row[second]:.1f}{unit}"
 
 
 def _modes(document: Document) -> list[str]:
@@ -58,11 +60,11 @@ def _modes(document: Document) -> list[str]:
             str(row["episodes"]),
             str(row["falls"]),
             str(row["landings"]),
-            f"{_pair(row, 'error_m_median', 'error_m_p95')} cm",
+            _pair(row, "error_m_median", "error_m_p95"),
             cell(row["error_m_p99"], "{:.1f} cm", 100),
-            f"{_pair(row, 'along_m_median', 'along_m_p95')} cm",
-            f"{_pair(row, 'across_m_median', 'across_m_p95')} cm",
-            f"{_pair(row, 'heading_deg_median', 'heading_deg_p95', 1.0)}°",
+            _pair(row, "along_m_median", "along_m_p95"),
+            _pair(row, "across_m_median", "across_m_p95"),
+            _pair(row, "heading_deg_median", "heading_deg_p95", 1.0, "°"),
         )
         for row in document["modes"]
     ]
