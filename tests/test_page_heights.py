@@ -1,0 +1,79 @@
+"""The page on a floor that is not flat: what lies on it lies at its height."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import viser
+
+from app.page.boxes import Obstacle
+from app.page.floor import add_floor
+from app.page.prints import Marker, Prints
+from app.page.server import open_server
+from app.page.toybox import Toybox
+from maps.reader import load_map
+from planner.model import FootShape, Side
+from sim.scene import WALL_HEIGHT_M
+
+STAIRS = load_map("maps/stairs.yaml")
+
+
+@pytest.fixture
+def scene() -> Iterator[viser.SceneApi]:
+    server = open_server(title="heights")
+    yield server.scene
+    server.stop()
+
+
+def shown(scene: viser.SceneApi, name: str) -> np.ndarray:
+    """Vertices (n, 3) of a mesh of the scene that are not put aside."""
+    vertices = np.array(scene._handle_from_node_name[name].vertices)
+    return vertices[vertices[:, 2] > -0.5]
+
+
+def test_the_ground_is_drawn_as_high_as_it_is(scene):
+    add_floor(scene, STAIRS)
+    tops = [
+        shown(scene, name)[:, 2].max()
+        for name in scene._handle_from_node_name
+        if name.startswith("/map/ground/")
+    ]
+    assert sorted(tops) == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    walls = shown(scene, "/map/walls")
+    assert walls[:, 2].max() == pytest.approx(0.6 + WALL_HEIGHT_M)
+    assert walls[:, 2].min() == 0
+
+
+def test_footprints_path_and_goal_lie_on_the_ground(scene):
+    prints = Prints(scene, STAIRS, FootShape(length_m=0.2, width_m=0.1))
+    poses = np.array([[2.15, 0.1, 0.1, 0.0], [4.1, 0.1, 0.6, 0.3]])
+    prints.plan(np.array([Side.LEFT, Side.LEFT]), poses)
+    soles = shown(scene, "/steps/planned_left")[:8]
+    assert soles[:4, 2] == pytest.approx(0.1, abs=0.02)
+    assert soles[4:, 2] == pytest.approx(0.6, abs=0.02)
+    assert soles[:4, :2].mean(axis=0) == pytest.approx(poses[0, :2])
+    # From the floor up the first step and on.
+    prints.path(np.array([[1.8, 0.0], [1.95, 0.0], [2.1, 0.0], [2.25, 0.0]]))
+    path = shown(scene, "/path")[:12].reshape(3, 4, 3)
+    assert path[:, :, 2].max(axis=1) == pytest.approx([0.0, 0.1, 0.1], abs=0.02)
+    marker = Marker(scene, STAIRS, "/goal")
+    for goal, ground_m in (((4.1, 0.0, 0.0), 0.6), ((0.0, 0.0, 1.0), 0.0)):
+        marker.show(goal)
+        assert marker._arrow.position[2] == pytest.approx(ground_m, abs=0.05)
+
+
+def test_boxes_stand_on_the_ground(scene):
+    boxes: list[Obstacle] = []
+    toybox = Toybox(
+        scene,
+        STAIRS,
+        on_change=boxes.extend,
+        is_refused=lambda _: "",
+        on_refused=pytest.fail,
+    )
+    toybox.add((4.1, 0.0), (0.4, 0.4))
+    assert len(boxes) == 1
+    drawn = scene._handle_from_node_name["/map/box_0"]
+    assert drawn.position[2] == pytest.approx(0.6 + WALL_HEIGHT_M / 2)
