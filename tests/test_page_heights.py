@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,8 @@ def scene() -> Iterator[viser.SceneApi]:
 
 def shown(scene: viser.SceneApi, name: str) -> np.ndarray:
     """Vertices (n, 3) of a mesh of the scene that are not put aside."""
-    vertices = np.array(scene._handle_from_node_name[name].vertices)
+    handle: Any = scene._handle_from_node_name[name]
+    vertices = np.array(handle.vertices)
     return vertices[vertices[:, 2] > -0.5]
 
 
