@@ -302,5 +302,5 @@ def test_ctrl_c_ends_in_one_line():
         assert process.stdout is not None
         assert process.stdout.readline() == "stalled\n"
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=300)
     assert (process.returncode, err) == (ExitCode.INTERRUPTED, "interrupted\n")

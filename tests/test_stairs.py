@@ -135,7 +135,7 @@ def test_flights_are_walked_with_one_foot_and_with_both_on_each_tread():
 
 def test_wide_stances_still_turn_on_curved_flights():
     """The turn gives way to the stance, but not the curve to the straight."""
-    for name in ("jvrc1", "hrp5p", "h1"):
+    for name in {"jvrc1", "hrp5p", "h1"} & set(robot_names()):
         turns = [
             np.abs(np.diff(track.pose_world[STANCE:, 3])).max()
             for track, _ in flights(name, "stairs_curved")
