@@ -310,7 +310,11 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
     out = tmp_path / "new"
     words = ["dataset", "--count", "100000", "--workers", "2", "--out", str(out)]
     with subprocess.Popen(
-        [sys.executable, str(ROOT / "main.py"), *words], stderr=subprocess.PIPE, text=True
+        [sys.executable, str(ROOT / "main.py"), *words],
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that runs the tests in the background lets its children ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         while not out.exists() and process.poll() is None:
             time.sleep(0.05)
