@@ -63,6 +63,7 @@ def test_weights_sum_to_1(preset):
         ("upright", {"tilt_rad": np.array([0.1])}, np.exp(-1)),
         ("facing", {"heading_error_rad": np.array([-0.2])}, np.exp(-1)),
         ("height", {"height_error_m": np.array([-0.1])}, np.exp(-0.4)),
+        ("standing_height", {"height_error_m": np.array([-0.1])}, np.exp(-1)),
         ("upper_body", {"head_offset_m": np.array([0.2])}, np.exp(-0.4)),
         ("action_smoothness", {"action_change_rad": np.array([0.2])}, np.exp(-1)),
         ("torque_smoothness", {"torque_change_nm": np.array([4.0])}, np.exp(-1)),
