@@ -18,7 +18,7 @@ from planner.chain import (
     Rules,
     gap_axis,
     pair_pose_of,
-    step_between,
+    turn_between,
 )
 from planner.collision import Terrain
 from planner.keep_off import SPARE_M, WAYS, room_off_blocked, room_on_level
@@ -42,18 +42,24 @@ class Work(NamedTuple):
 
     value, slack, force (N - 1, R): the distances of the R rules, their slacks and multipliers.
     slope (N - 1, R, 6): derivatives by the pose before and the pose itself. active (N - 1, R).
-    matrix (3 (N - 2), BAND), right (3 (N - 2),): the banded system. room, step: scratch.
+    toward (N - 1, R, 2): how slack and force move along the solution. matrix (3 (N - 2), BAND),
+    right (3 (N - 2),): the banded system. Scratch: room (WAYS, 4); step (3, 7), derivatives of a
+    step's x, y and yaw, and these; block (6, 7), curvature and minus the gradient by the two poses
+    of one step; along (6,).
     """
 
     value: FloatArray
     slope: FloatArray
     slack: FloatArray
     force: FloatArray
+    toward: FloatArray
     active: NDArray[np.bool_]
     matrix: FloatArray
     right: FloatArray
     room: FloatArray
     step: FloatArray
+    block: FloatArray
+    along: FloatArray
 
 
 @njit(cache=True)
@@ -66,28 +72,28 @@ def new_work(space: Space, steps: int) -> Work:
         np.zeros((bound, rules, 6)),
         np.zeros((bound, rules)),
         np.zeros((bound, rules)),
+        np.zeros((bound, rules, 2)),
         np.zeros((bound, rules), np.bool_),
         np.zeros((free, BAND)),
         np.zeros(free),
         np.zeros((WAYS, 4)),
-        np.zeros((3, 6)),
+        np.zeros((3, 7)),
+        np.zeros((6, 7)),
+        np.zeros(6),
     )
 
 
 @njit(cache=True)
-def _step_slopes(
-    support: FloatArray, swing: FloatArray, outward: float, slopes: FloatArray
-) -> None:
-    """Derivatives (3, 6) of a step's x, y and yaw by the support's and the swing foot's pose."""
+def _note_step(support: FloatArray, swing: FloatArray, outward: float, step: FloatArray) -> None:
+    """Fills step (3, 7): derivatives of x, y, yaw by support and swing pose, and their values."""
     dx, dy = swing[0] - support[0], swing[1] - support[1]
     cos, sin = math.cos(support[2]), math.sin(support[2])
-    slopes[:] = 0.0
-    slopes[0, 0], slopes[0, 1], slopes[0, 2] = -cos, -sin, cos * dy - sin * dx
-    slopes[0, 3], slopes[0, 4] = cos, sin
-    slopes[1, 0], slopes[1, 1] = outward * sin, -outward * cos
-    slopes[1, 2] = -outward * (cos * dx + sin * dy)
-    slopes[1, 3], slopes[1, 4] = -outward * sin, outward * cos
-    slopes[2, 2], slopes[2, 5] = -outward, outward
+    x, y, turn = cos * dx + sin * dy, cos * dy - sin * dx, turn_between(support[2], swing[2])
+    step[0] = (-cos, -sin, y, cos, sin, 0.0, x)
+    step[1] = (sin, -cos, -x, -sin, cos, 0.0, y)
+    step[2] = (0.0, 0.0, -1.0, 0.0, 0.0, 1.0, turn)
+    if outward < 0:
+        step[1:] *= -1.0
 
 
 @njit(cache=True)
@@ -95,21 +101,22 @@ def note_rules(rules: Rules, work: Work, poses: FloatArray, i: int, outward: flo
     """Fills value, slope and active of step i, which leads from pose i to pose i + 1."""
     value, slope, active, room = work.value[i], work.slope[i], work.active[i], work.room
     space, limits = rules.space, rules.limits
-    support, swing, slopes = poses[i], poses[i + 1], work.step
-    _step_slopes(support, swing, outward, slopes)
-    x, y, yaw = step = step_between(support, swing, outward)
+    support, swing, step = poses[i], poses[i + 1], work.step
+    _note_step(support, swing, outward, step)
     for axis in range(3):
-        value[2 * axis] = step[axis] - limits[2 * axis] - SPARE_M
-        value[2 * axis + 1] = limits[2 * axis + 1] - step[axis] - SPARE_M
+        value[2 * axis] = step[axis, 6] - limits[2 * axis] - SPARE_M
+        value[2 * axis + 1] = limits[2 * axis + 1] - step[axis, 6] - SPARE_M
         for k in range(6):
-            slope[2 * axis, k] = slopes[axis, k]
-            slope[2 * axis + 1, k] = -slopes[axis, k]
+            slope[2 * axis, k] = step[axis, k]
+            slope[2 * axis + 1, k] = -step[axis, k]
         active[2 * axis] = active[2 * axis + 1] = True
-    gap, by_x, by_y, by_yaw = gap_axis(x, y, yaw, rules.foot[0], rules.foot[1])
+    gap, by_x, by_y, by_yaw = gap_axis(
+        step[0, 6], step[1, 6], step[2, 6], rules.foot[0], rules.foot[1]
+    )
     value[GAP] = gap - SPARE_M
     active[GAP] = gap < _REACH_M
     for k in range(6):
-        slope[GAP, k] = by_x * slopes[0, k] + by_y * slopes[1, k] + by_yaw * slopes[2, k]
+        slope[GAP, k] = by_x * step[0, k] + by_y * step[1, k] + by_yaw * step[2, k]
     body = rules.first_body if i == 0 else space.body
     pair = pair_pose_of(support, swing)
     near = room_off_blocked(space.terrain, pair, body[0], body[1], _REACH_M, room)
@@ -166,50 +173,51 @@ def _take_room(
 
 
 @njit(cache=True)
-def add(work: Work, i: int, curve: float, along: FloatArray, force: float) -> None:
-    """Adds curve * along * along^T to the matrix and force * along to the right side.
-
-    along (6,): derivatives by the two poses of step i; those of fixed poses are left out.
-    """
-    base, size = 3 * (i - 1), len(work.right)
+def add(block: FloatArray, curve: float, along: FloatArray, force: float) -> None:
+    """Adds curve * along * along^T and force * along to a block (6, 7); along: (6,) or longer."""
     for a in range(6):
-        row = base + a
-        if row < 0 or row >= size or along[a] == 0.0:
-            continue
-        work.right[row] += force * along[a]
-        for b in range(a + 1):
-            column = base + b
-            if column >= 0:
-                work.matrix[row, row - column] += curve * along[a] * along[b]
+        block[a, 6] += force * along[a]
+        for b in range(6):
+            block[a, b] += curve * along[a] * along[b]
 
 
 @njit(cache=True)
-def note_costs(rules: Rules, work: Work, poses: FloatArray, i: int, outward: float) -> None:
+def take_block(work: Work, i: int) -> None:
+    """Adds the block of step i to the system; what belongs to fixed poses is left out."""
+    base, size = 3 * (i - 1), len(work.right)
+    for a in range(max(0, -base), min(6, size - base)):
+        work.right[base + a] += work.block[a, 6]
+        for b in range(max(0, -base), a + 1):
+            work.matrix[base + a, a - b] += work.block[a, b]
+
+
+@njit(cache=True)
+def note_costs(rules: Rules, work: Work, poses: FloatArray, i: int) -> None:
     """Adds gradient and curvature of what step i costs, for which `note_rules` came before.
 
     |t| is taken as sqrt(t^2 + _CORNER_M^2), with the curvature of the parabola that touches it from
     above there: the true one is too small away from 0 and the next step would go too far.
     """
     stance, _, per_turn, per_side, per_back = rules.weights
-    support, swing, slopes = poses[i], poses[i + 1], work.step
-    x, y, yaw = step_between(support, swing, outward)
-    dx, dy = swing[0] - support[0], swing[1] - support[1]
-    length = max(math.hypot(dx, dy), _CORNER_M)
-    along = np.zeros(6)
-    along[0], along[1], along[3], along[4] = -dx / length, -dy / length, dx / length, dy / length
-    add(work, i, 0.0, along, -1.0)
-    along[0], along[1], along[3], along[4] = dy / length, -dx / length, -dy / length, dx / length
-    add(work, i, 1.0 / length, along, 0.0)
+    block, step, along = work.block, work.step, work.along
+    x, y, yaw = step[0, 6], step[1, 6], step[2, 6]
+    dx, dy = poses[i + 1, 0] - poses[i, 0], poses[i + 1, 1] - poses[i, 1]
+    length = max(math.sqrt(dx * dx + dy * dy), _CORNER_M)
+    along[:] = (-dx / length, -dy / length, 0.0, dx / length, dy / length, 0.0)
+    add(block, 0.0, along, -1.0)
+    along[:] = (dy / length, -dx / length, 0.0, -dy / length, dx / length, 0.0)
+    add(block, 1.0 / length, along, 0.0)
     if per_turn > 0.0:
-        size = math.hypot(yaw, _CORNER_M)
-        add(work, i, per_turn / size, slopes[2], -per_turn * yaw / size)
+        size = math.sqrt(yaw * yaw + _CORNER_M * _CORNER_M)
+        add(block, per_turn / size, step[2], -per_turn * yaw / size)
     if per_side > 0.0:
-        size = math.hypot(y - stance, _CORNER_M)
-        add(work, i, per_side / size, slopes[1], -per_side * (y - stance) / size)
+        off = y - stance
+        size = math.sqrt(off * off + _CORNER_M * _CORNER_M)
+        add(block, per_side / size, step[1], -per_side * off / size)
     if per_back > 0.0:
         # max(-x, 0) is (|x| - x) / 2.
-        size = math.hypot(x, _CORNER_M)
-        add(work, i, 0.5 * per_back / size, slopes[0], -0.5 * per_back * (x / size - 1.0))
+        size = math.sqrt(x * x + _CORNER_M * _CORNER_M)
+        add(block, 0.5 * per_back / size, step[0], -0.5 * per_back * (x / size - 1.0))
     if rules.space.clearance[2] > 0.0:
         _note_clearance(rules, work, poses, i)
 
@@ -239,7 +247,7 @@ def _note_clearance(rules: Rules, work: Work, poses: FloatArray, i: int) -> None
         return
     rate = most_um / MICRO / (wanted_m - worst_m)
     here = rate * max(wanted_m - here, 0.0)
-    along = np.zeros(6)
+    along = work.along
     for axis in range(2):
         step_x, step_y = (_HINGE_M, 0.0) if axis == 0 else (0.0, _HINGE_M)
         more = rate * max(wanted_m - _smooth_clearance(terrain, x + step_x, y + step_y), 0.0)
@@ -247,4 +255,4 @@ def _note_clearance(rules: Rules, work: Work, poses: FloatArray, i: int) -> None
         along[:] = 0.0
         along[axis] = along[axis + 3] = 0.5
         curve = max((more - 2.0 * here + less) / (_HINGE_M * _HINGE_M), 0.0)
-        add(work, i, curve, along, -(more - less) / (2.0 * _HINGE_M))
+        add(work.block, curve, along, -(more - less) / (2.0 * _HINGE_M))

@@ -73,13 +73,20 @@ def build_rules(
 
 
 @njit(cache=True)
+def turn_between(yaw: float, other: float) -> float:
+    """Angle from one heading to another in [-pi, pi)."""
+    turn = other - yaw
+    return turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
+
+
+@njit(cache=True)
 def step_between(
     support: FloatArray, swing: FloatArray, outward: float
 ) -> tuple[float, float, float]:
     """Step x, y, yaw of a pose (3,) in the frame of the support foot (3,), outward positive."""
     dx, dy = swing[0] - support[0], swing[1] - support[1]
     cos, sin = math.cos(support[2]), math.sin(support[2])
-    turn = (swing[2] - support[2] + math.pi) % (2.0 * math.pi) - math.pi
+    turn = turn_between(support[2], swing[2])
     return cos * dx + sin * dy, outward * (cos * dy - sin * dx), outward * turn
 
 
@@ -172,12 +179,8 @@ def _climbs(
 @njit(cache=True)
 def pair_pose_of(support: FloatArray, swing: FloatArray) -> tuple[float, float, float]:
     """Point midway between two feet (3,) and their mean heading."""
-    turn = (swing[2] - support[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return (
-        0.5 * (support[0] + swing[0]),
-        0.5 * (support[1] + swing[1]),
-        support[2] + 0.5 * turn,
-    )
+    yaw = support[2] + 0.5 * turn_between(support[2], swing[2])
+    return 0.5 * (support[0] + swing[0]), 0.5 * (support[1] + swing[1]), yaw
 
 
 @njit(cache=True)

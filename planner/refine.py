@@ -16,7 +16,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.chain import NOT_ALLOWED, Rules, build_rules, chain_cost_um, foot_height_um
+from planner.chain import (
+    NOT_ALLOWED,
+    Rules,
+    build_rules,
+    chain_cost_um,
+    foot_height_um,
+    turn_between,
+)
 from planner.lattice import MICRO
 from planner.plan import wrap_angle
 from planner.relax import relax
@@ -147,7 +154,7 @@ def _laid_out(
         # The foot that went first in the old chain stood at the start until then.
         first = rules.feet[0 if outward > 0 else 1] if before < 0 else poses[before]
         part = (at - before) / 2.0
-        turn = (poses[before + 2, 2] - first[2] + math.pi) % (2.0 * math.pi) - math.pi
+        turn = turn_between(first[2], poses[before + 2, 2])
         chain[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
         chain[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
         chain[i, 2] = first[2] + part * turn

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.barrier import Work, add, new_work, note_costs, note_rules
+from planner.barrier import Work, add, new_work, note_costs, note_rules, take_block
 from planner.chain import NOT_ALLOWED, Rules, chain_cost_um
 from planner.keep_off import SPARE_M
 
@@ -73,7 +73,8 @@ def _build(rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu
     for i in range(len(work.value)):
         was[:] = work.active[i]
         note_rules(rules, work, poses, i, outward)
-        note_costs(rules, work, poses, i, outward)
+        work.block[:] = 0.0
+        note_costs(rules, work, poses, i)
         for row in range(len(was)):
             if not work.active[i, row]:
                 continue
@@ -84,7 +85,8 @@ def _build(rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu
                 work.force[i, row] = mu / work.slack[i, row]
             slack, force = work.slack[i, row], work.force[i, row]
             curve = force / slack
-            add(work, i, curve, work.slope[i, row], mu / slack - curve * (value - slack))
+            add(work.block, curve, work.slope[i, row], mu / slack - curve * (value - slack))
+        take_block(work, i)
         outward = -outward
     return worst
 
@@ -116,41 +118,36 @@ def _solve(matrix: FloatArray, right: FloatArray) -> bool:
 
 
 @njit(cache=True)
-def _moves(work: Work, i: int, row: int, mu: float) -> tuple[float, float]:
-    """How slack and force of a rule move along the solution.
-
-    ds = A dz + c - s and dl = mu / s - l - l / s ds.
-    """
-    slack, force = work.slack[i, row], work.force[i, row]
-    base = 3 * (i - 1)
-    d_slack = work.value[i, row] - slack
-    for a in range(max(0, -base), min(6, len(work.right) - base)):
-        d_slack += work.slope[i, row, a] * work.right[base + a]
-    return d_slack, mu / slack - force - force / slack * d_slack
-
-
-@njit(cache=True)
 def _advance(work: Work, poses: FloatArray, mu: float) -> float:
-    """Goes along the solution as far as it may; returns the mean of slack times force."""
+    """Goes along the solution as far as it may; returns the mean of slack times force.
+
+    Slacks move by ds = A dz + c - s, forces by dl = mu / s - l - l / s ds.
+    """
     part, dual = 1.0, 1.0
     for k in range(len(work.right)):
         most = _MOST_RAD if k % 3 == 2 else _MOST_M
         part = min(part, most / max(abs(work.right[k]), most))
     for i in range(len(work.value)):
+        base = 3 * (i - 1)
         for row in range(work.value.shape[1]):
-            if work.active[i, row]:
-                d_slack, d_force = _moves(work, i, row, mu)
-                if part * d_slack < -_TO_EDGE * work.slack[i, row]:
-                    part = -_TO_EDGE * work.slack[i, row] / d_slack
-                if dual * d_force < -_TO_EDGE * work.force[i, row]:
-                    dual = -_TO_EDGE * work.force[i, row] / d_force
+            if not work.active[i, row]:
+                continue
+            slack, force = work.slack[i, row], work.force[i, row]
+            d_slack = work.value[i, row] - slack
+            for a in range(max(0, -base), min(6, len(work.right) - base)):
+                d_slack += work.slope[i, row, a] * work.right[base + a]
+            d_force = mu / slack - force - force / slack * d_slack
+            work.toward[i, row, 0], work.toward[i, row, 1] = d_slack, d_force
+            if part * d_slack < -_TO_EDGE * slack:
+                part = -_TO_EDGE * slack / d_slack
+            if dual * d_force < -_TO_EDGE * force:
+                dual = -_TO_EDGE * force / d_force
     total, number = 0.0, 0
     for i in range(len(work.value)):
         for row in range(work.value.shape[1]):
             if work.active[i, row]:
-                d_slack, d_force = _moves(work, i, row, mu)
-                work.slack[i, row] += part * d_slack
-                work.force[i, row] += dual * d_force
+                work.slack[i, row] += part * work.toward[i, row, 0]
+                work.force[i, row] += dual * work.toward[i, row, 1]
                 total += work.slack[i, row] * work.force[i, row]
                 number += 1
     for k in range(len(work.right)):

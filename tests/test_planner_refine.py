@@ -12,7 +12,7 @@ from shapely import affinity
 
 from maps.grid import Cell, OccupancyGrid
 from planner.api import Planner, plan_footsteps
-from planner.barrier import add, new_work, note_costs, note_rules
+from planner.barrier import add, new_work, note_costs, note_rules, take_block
 from planner.chain import build_rules, chain_cost_um, foot_height_um, gap_axis, step_between
 from planner.collision import terrain_of
 from planner.keep_off import WAYS, room_off_blocked
@@ -239,10 +239,9 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
             rate = (work.value[i] - value)[same] / 1e-7
             np.testing.assert_allclose(rate, slope[same, k], atol=2e-5)
             seen += int(same.sum())
-        # The right side of the system is minus the gradient of the cost.
+        # The last column of the block is minus the gradient of the cost.
         note_rules(rules, work, poses, i, outward)
-        work.right[:] = 0.0
-        note_costs(rules, work, poses, i, outward)
+        note_costs(rules, work, poses, i)
         for k in range(6):
             costs = []
             for sign in (1, -1):
@@ -252,7 +251,7 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
                 costs.append(math.hypot(x, y) + smooth(0.05, yaw) + smooth(0.2, y - 0.2))
                 costs[-1] += 0.5 * (smooth(0.2, x) - 0.2 * x)
             gradient = (costs[0] - costs[1]) / 2e-5
-            assert work.right[3 * (i - 1) + k] == pytest.approx(-gradient, abs=1e-4)
+            assert work.block[k, 6] == pytest.approx(-gradient, abs=1e-4)
     assert seen > 300
 
 
@@ -308,7 +307,9 @@ def test_the_banded_system_is_solved_as_a_dense_one():
     work.matrix[:, 0] = 1.0
     for i in range(len(work.value)):
         along = rng.normal(size=6)
-        add(work, i, 2.0, along, 3.0)
+        work.block[:] = 0.0
+        add(work.block, 2.0, along, 3.0)
+        take_block(work, i)
         whole = np.zeros(size + 6)
         whole[3 * i : 3 * i + 6] = along
         whole = whole[3 : size + 3]
