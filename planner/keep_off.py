@@ -44,8 +44,7 @@ class _Box(NamedTuple):
 
 
 @njit(cache=True)
-def _box(pose: tuple[float, float, float], half_l: float, half_w: float, size: float) -> _Box:
-    x, y, yaw = pose
+def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: float) -> _Box:
     cos, sin = math.cos(yaw), math.sin(yaw)
     cos_sign, sin_sign = (1.0 if cos >= 0 else -1.0), (1.0 if sin >= 0 else -1.0)
     return _Box(
@@ -67,7 +66,9 @@ def _box(pose: tuple[float, float, float], half_l: float, half_w: float, size: f
 @njit(cache=True)
 def room_off_blocked(
     terrain: Terrain,
-    pose: tuple[float, float, float],
+    x: float,
+    y: float,
+    yaw: float,
     half_l: float,
     half_w: float,
     reach_m: float,
@@ -79,10 +80,10 @@ def room_off_blocked(
     Returns False, with nothing filled, if nothing at all is near.
     """
     radius = math.sqrt(half_l * half_l + half_w * half_w) + reach_m
-    if point_clearance(terrain, pose[0], pose[1]) > radius:
+    if point_clearance(terrain, x, y) > radius:
         return False
     size = terrain.resolution_m
-    box = _box(pose, half_l, half_w, size)
+    box = _box(x, y, yaw, half_l, half_w, size)
     room[:, 0] = reach_m
     _note_edges(terrain, box, room)
     row0, row1, col0, col1 = _window(terrain, box, reach_m)
@@ -102,7 +103,9 @@ def room_off_blocked(
 @njit(cache=True)
 def room_on_level(
     terrain: Terrain,
-    pose: tuple[float, float, float],
+    x: float,
+    y: float,
+    yaw: float,
     half_l: float,
     half_w: float,
     level_um: int,
@@ -116,13 +119,13 @@ def room_on_level(
     """
     size = terrain.resolution_m
     rows, cols = terrain.blocked.shape
-    row, col = math.floor(pose[1] / size), math.floor(pose[0] / size)
+    row, col = math.floor(y / size), math.floor(x / size)
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return False
     own_um = terrain.height_um[row, col]
     if own_um == NO_GROUND_UM:
         return False
-    box = _box(pose, half_l, half_w, size)
+    box = _box(x, y, yaw, half_l, half_w, size)
     room[:, 0] = reach_m
     row0, row1, col0, col1 = _window(terrain, box, reach_m)
     for row in range(row0, row1 + 1):

@@ -5,6 +5,10 @@ within its limits. So the steps of the plan found are moved continuously, within
 clear of the same obstacles, until they cost least (`relax.py`). What that straightens needs fewer
 steps: the chain is laid out anew with fewer, each longer, and moved again, as long as that works.
 The last two feet stay those of the goal, the start feet where the robot stands.
+
+Where turning is cheap, walking straight with both feet turned out is the cheapest of all, for the
+way from foot to foot then crosses over less. No robot should walk like that, so while steps move a
+radian costs at least _LEAST_TURN_COST_M. The plan is taken only if it is cheaper without that, too.
 """
 
 from __future__ import annotations
@@ -30,8 +34,9 @@ from planner.relax import relax
 from planner.request import Request, Result
 
 FloatArray = NDArray[np.float64]
-_ITERATIONS = 16  # of one attempt; nearly all that succeed at all do so in fewer
-_LAST_ITERATIONS = 30
+_ITERATIONS = 12  # of one attempt; nearly all that succeed at all do so in fewer
+_LAST_ITERATIONS = 20
+_LEAST_TURN_COST_M = 0.2
 _PARTS = 10  # at first one step in so many is left out at once
 
 
@@ -53,13 +58,16 @@ def refine(request: Request, result: Result) -> Result:
     outward = 1.0 - 2.0 * result.side[0]
     poses = np.vstack([request.feet_lattice[1 - result.side[0]], result.pose_lattice])
     poses = _to_grid(poses, space.frame)
-    cost_um = chain_cost_um(rules, poses, outward)
-    if cost_um == NOT_ALLOWED:
+    stance, per_step, per_turn, per_side, per_back = rules.weights
+    weights = stance, per_step, max(per_turn, _LEAST_TURN_COST_M), per_side, per_back
+    straight = rules._replace(weights=weights)
+    before_um = chain_cost_um(straight, poses, outward)
+    if before_um == NOT_ALLOWED:
         return result
     may_swap = request.first_side is None
-    cost_um = min(cost_um, round(result.cost_m * MICRO))
-    found, outward, found_um = _shorten(rules, poses, outward, cost_um, may_swap)
-    if found_um >= cost_um:
+    found, outward, _ = _shorten(straight, poses, outward, before_um, may_swap)
+    found_um = chain_cost_um(rules, found, outward)
+    if not 0 <= found_um < round(result.cost_m * MICRO):
         return result
     first = 0 if outward > 0 else 1
     side = ((np.arange(len(found) - 1) + first) % 2).astype(np.int8)
@@ -121,7 +129,7 @@ def _shorten(
             if cost != NOT_ALLOWED and cost < least:
                 least, best, sign, improved = cost, moved, trial_sign, True
         if not improved:
-            fewer //= 2
+            fewer = 1 if fewer > 1 else 0
     for swap in range(2 if may_swap else 1):
         trial = _laid_out(rules, best, sign, len(best) - 1, swap == 1) if swap == 1 else best.copy()
         moved = np.empty_like(trial)

@@ -14,14 +14,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.barrier import Work, add, new_work, note_costs, note_rules, take_block
+from planner.barrier import (
+    Work,
+    add,
+    new_work,
+    note_clearance,
+    note_costs,
+    note_rules,
+    take_block,
+)
 from planner.chain import NOT_ALLOWED, Rules, chain_cost_um
 from planner.keep_off import SPARE_M
+from planner.lattice import MICRO
 
 FloatArray = NDArray[np.float64]
 _MOST_M, _MOST_RAD = 0.06, 0.15  # that a pose moves in one iteration
 _DAMP_POSITION, _DAMP_YAW = 0.3, 0.1
-_FIRST_MU, _LAST_MU = 1e-2, 3e-6
+_FIRST_MU, _LAST_MU = 1e-2, 1e-5
 _LEAST_SLACK_M = 0.01
 _TO_EDGE = 0.95  # part of the way to the edge of what is allowed that one iteration goes at most
 
@@ -45,50 +54,59 @@ def relax(
         best[:] = poses
         return chain_cost_um(rules, poses, first_outward)
     work = new_work(rules.space, len(poses) - 1)
-    mu, least = _FIRST_MU, NOT_ALLOWED
+    is_flat = len(rules.space.node_um) == 0
+    mu, least_m = _FIRST_MU, math.inf
     for iteration in range(iterations):
-        worst = _build(rules, work, poses, first_outward, mu)
-        if worst < SPARE_M:
-            cost = chain_cost_um(rules, poses, first_outward)
-            if cost != NOT_ALLOWED and (least == NOT_ALLOWED or cost < least):
-                least = cost
-                best[:] = poses
-                if least < enough_um:
-                    break
+        worst, cost_m = _build(rules, work, poses, first_outward, mu)
+        # The rules are all there is but for the heights of stairs.
+        cheaper = worst < SPARE_M and cost_m < least_m
+        if cheaper and (is_flat or chain_cost_um(rules, poses, first_outward) != NOT_ALLOWED):
+            least_m = cost_m
+            best[:] = poses
+            if least_m * MICRO < enough_um:
+                break
         if iteration == iterations - 1 or not _solve(work.matrix, work.right):
             break
         mu = min(mu, max(_LAST_MU, 0.3 * _advance(work, poses, mu)))
-    return least
+    if least_m == math.inf:
+        return NOT_ALLOWED
+    return chain_cost_um(rules, best, first_outward)
 
 
 @njit(cache=True)
-def _build(rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu: float) -> float:
-    """Builds the system at the poses; returns by how much the worst rule is broken."""
-    work.matrix[:] = 0.0
-    work.right[:] = 0.0
-    for k in range(len(work.right)):
-        work.matrix[k, 0] = _DAMP_YAW if k % 3 == 2 else _DAMP_POSITION
-    worst, outward = 0.0, first_outward
-    was = np.empty(work.active.shape[1], np.bool_)
-    for i in range(len(work.value)):
-        was[:] = work.active[i]
-        note_rules(rules, work, poses, i, outward)
-        work.block[:] = 0.0
-        note_costs(rules, work, poses, i)
-        for row in range(len(was)):
-            if not work.active[i, row]:
+def _build(
+    rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu: float
+) -> tuple[float, float]:
+    """Builds the system at the poses; returns how far a rule is broken at worst, and the cost."""
+    value, slope, slack, force = work.value, work.slope, work.slack, work.force
+    active, matrix, right, step = work.active, work.matrix, work.right, work.step
+    block, along, weights = work.block, work.along, rules.weights
+    terrain, clearance = rules.space.terrain, rules.space.clearance
+    matrix[:] = 0.0
+    right[:] = 0.0
+    for k in range(len(right)):
+        matrix[k, 0] = _DAMP_YAW if k % 3 == 2 else _DAMP_POSITION
+    was = active.copy()
+    note_rules(rules, work, poses, first_outward)
+    # The last step, from one foot of the goal to the other, has no rules and one cost.
+    worst, cost_m = 0.0, weights[0] + weights[1]
+    for i in range(len(value)):
+        block[:] = 0.0
+        cost_m += note_costs(weights, i, step, along, block)
+        if clearance[2] > 0.0:
+            cost_m += note_clearance(terrain, clearance, poses, i, along, block)
+        for row in range(value.shape[1]):
+            if not active[i, row]:
                 continue
-            value = work.value[i, row]
-            worst = max(worst, -value)
-            if not was[row]:
-                work.slack[i, row] = max(value, _LEAST_SLACK_M)
-                work.force[i, row] = mu / work.slack[i, row]
-            slack, force = work.slack[i, row], work.force[i, row]
-            curve = force / slack
-            add(work.block, curve, work.slope[i, row], mu / slack - curve * (value - slack))
-        take_block(work, i)
-        outward = -outward
-    return worst
+            worst = max(worst, -value[i, row])
+            if not was[i, row]:
+                slack[i, row] = max(value[i, row], _LEAST_SLACK_M)
+                force[i, row] = mu / slack[i, row]
+            curve = force[i, row] / slack[i, row]
+            pull = mu / slack[i, row] - curve * (value[i, row] - slack[i, row])
+            add(block, curve, slope, i, row, pull)
+        take_block(block, i, matrix, right)
+    return worst, cost_m
 
 
 @njit(cache=True)
@@ -123,33 +141,35 @@ def _advance(work: Work, poses: FloatArray, mu: float) -> float:
 
     Slacks move by ds = A dz + c - s, forces by dl = mu / s - l - l / s ds.
     """
+    value, slope, slack, force = work.value, work.slope, work.slack, work.force
+    active, toward, right = work.active, work.toward, work.right
     part, dual = 1.0, 1.0
-    for k in range(len(work.right)):
+    for k in range(len(right)):
         most = _MOST_RAD if k % 3 == 2 else _MOST_M
-        part = min(part, most / max(abs(work.right[k]), most))
-    for i in range(len(work.value)):
+        part = min(part, most / max(abs(right[k]), most))
+    for i in range(len(value)):
         base = 3 * (i - 1)
-        for row in range(work.value.shape[1]):
-            if not work.active[i, row]:
+        for row in range(value.shape[1]):
+            if not active[i, row]:
                 continue
-            slack, force = work.slack[i, row], work.force[i, row]
-            d_slack = work.value[i, row] - slack
-            for a in range(max(0, -base), min(6, len(work.right) - base)):
-                d_slack += work.slope[i, row, a] * work.right[base + a]
-            d_force = mu / slack - force - force / slack * d_slack
-            work.toward[i, row, 0], work.toward[i, row, 1] = d_slack, d_force
-            if part * d_slack < -_TO_EDGE * slack:
-                part = -_TO_EDGE * slack / d_slack
-            if dual * d_force < -_TO_EDGE * force:
-                dual = -_TO_EDGE * force / d_force
+            s, f = slack[i, row], force[i, row]
+            d_slack = value[i, row] - s
+            for a in range(max(0, -base), min(6, len(right) - base)):
+                d_slack += slope[i, row, a] * right[base + a]
+            d_force = mu / s - f - f / s * d_slack
+            toward[i, row, 0], toward[i, row, 1] = d_slack, d_force
+            if part * d_slack < -_TO_EDGE * s:
+                part = -_TO_EDGE * s / d_slack
+            if dual * d_force < -_TO_EDGE * f:
+                dual = -_TO_EDGE * f / d_force
     total, number = 0.0, 0
-    for i in range(len(work.value)):
-        for row in range(work.value.shape[1]):
-            if work.active[i, row]:
-                work.slack[i, row] += part * work.toward[i, row, 0]
-                work.force[i, row] += dual * work.toward[i, row, 1]
-                total += work.slack[i, row] * work.force[i, row]
+    for i in range(len(value)):
+        for row in range(value.shape[1]):
+            if active[i, row]:
+                slack[i, row] += part * toward[i, row, 0]
+                force[i, row] += dual * toward[i, row, 1]
+                total += slack[i, row] * force[i, row]
                 number += 1
-    for k in range(len(work.right)):
-        poses[1 + k // 3, k % 3] += part * work.right[k]
+    for k in range(len(right)):
+        poses[1 + k // 3, k % 3] += part * right[k]
     return total / number

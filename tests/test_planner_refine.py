@@ -229,20 +229,19 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
         i = int(rng.integers(1, len(poses) - 3))
         outward = first * (-1) ** i
         work = new_work(space, len(poses) - 1)
-        note_rules(rules, work, poses, i, outward)
+        note_rules(rules, work, poses, first)
         value, slope, active = work.value[i].copy(), work.slope[i].copy(), work.active[i].copy()
+        work.block[:] = 0.0
+        note_costs(rules.weights, i, work.step, work.along, work.block)
         for k in range(6):
             nudged = poses.copy()
             nudged[i + k // 3, k % 3] += 1e-7
-            note_rules(rules, work, nudged, i, outward)
+            note_rules(rules, work, nudged, first)
             same = active & work.active[i]
             rate = (work.value[i] - value)[same] / 1e-7
             np.testing.assert_allclose(rate, slope[same, k], atol=2e-5)
             seen += int(same.sum())
-        # The last column of the block is minus the gradient of the cost.
-        note_rules(rules, work, poses, i, outward)
-        note_costs(rules, work, poses, i)
-        for k in range(6):
+            # The last column of the block is minus the gradient of the cost.
             costs = []
             for sign in (1, -1):
                 nudged = poses.copy()
@@ -270,7 +269,7 @@ def test_room_around_a_box_is_right_by_polygons():
     touched = 0
     for _ in range(300):
         x, y, yaw = rng.uniform((0.4, 0.4, -3.2), (2.6, 2.6, 3.2))
-        near = room_off_blocked(terrain, (x, y, yaw), 0.15, 0.08, 0.1, room)
+        near = room_off_blocked(terrain, x, y, yaw, 0.15, 0.08, 0.1, room)
         box = affinity.rotate(
             shapely.box(-0.15, -0.08, 0.15, 0.08), yaw, origin=(0, 0), use_radians=True
         )
@@ -308,8 +307,8 @@ def test_the_banded_system_is_solved_as_a_dense_one():
     for i in range(len(work.value)):
         along = rng.normal(size=6)
         work.block[:] = 0.0
-        add(work.block, 2.0, along, 3.0)
-        take_block(work, i)
+        add(work.block, 2.0, along[None, None], 0, 0, 3.0)
+        take_block(work.block, i, work.matrix, work.right)
         whole = np.zeros(size + 6)
         whole[3 * i : 3 * i + 6] = along
         whole = whole[3 : size + 3]
