@@ -35,6 +35,9 @@ class NavigateOptions(MapOptions):
     planner: PlannerName = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
+    refine: bool = True
+    """Move the steps of the plan found off the lattice, to where they cost less."""
+
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 
@@ -66,7 +69,10 @@ class NavigateOptions(MapOptions):
     def search(self) -> PlannerOptions:
         """What the planner is told."""
         return PlannerOptions(
-            name=self.planner, unknown_is_free=self.unknown_is_free, seed=self.seed
+            name=self.planner,
+            refine=self.refine,
+            unknown_is_free=self.unknown_is_free,
+            seed=self.seed,
         )
 
     @property

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from app.errors import ExitCode
+from app.errors import ExitCode, InputError
 from app.inputs import MapOptions, PlannerName, RobotName, find_follower, read_grid
 from app.options import (
     OptionalFile,
@@ -58,6 +58,9 @@ class PlanOptions(MapOptions):
     search_image: OptionalFile = None
     """Draw where the search looked and its cost over time into this file, such as search.png."""
 
+    refine_image: OptionalFile = None
+    """Draw the plan before and after refinement into this file, such as refinement.png."""
+
     planner: PlannerName = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
@@ -70,6 +73,9 @@ class PlanOptions(MapOptions):
     time_limit: OptionalTime = None
     """Seconds after which the best plan so far is taken, such as 0.5."""
 
+    refine: bool = True
+    """Move the steps of the plan found off the lattice, to where they cost less."""
+
     prove: bool = False
     """Go on until the plan is proven to be the cheapest; else only a while past the first plan."""
 
@@ -79,12 +85,7 @@ class PlanOptions(MapOptions):
 
 def run(options: PlanOptions) -> int:
     """Carries the command out; returns the exit code."""
-    if options.out is not None:
-        require_writable(options.out, option="--out")
-    if options.image is not None:
-        require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
-    if options.search_image is not None:
-        require_writable(options.search_image, option="--search-image", endings=FIGURE_ENDINGS)
+    _check_outputs(options)
     robot = find_follower(options.robot, options.policy)
     grid = read_grid(options)
 
@@ -92,18 +93,7 @@ def run(options: PlanOptions) -> int:
     from planner.api import Planner
     from planner.through import plan_through
 
-    # A limit that the person sets takes the place of the planner's own.
-    improve = options.time_limit is None and not options.prove
-    search = PlannerOptions(
-        name=options.planner,
-        epsilon=options.epsilon,
-        improve_expansions=PlannerOptions.improve_expansions if improve else None,
-        time_limit_s=options.time_limit,
-        unknown_is_free=options.unknown_is_free,
-        record=options.search_image is not None,
-        seed=options.seed,
-    )
-    planner = Planner(grid, robot.step_model, search)
+    planner = Planner(grid, robot.step_model, _search(options))
     plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])
     plan = dataclasses.replace(plan, robot=robot.name, map=str(options.map))
     text = plan.to_json() + "\n"
@@ -118,6 +108,13 @@ def run(options: PlanOptions) -> int:
 
         cell_m = robot.step_model.cell_m
         write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
+    if options.refine_image is not None and plan.found:
+        from app.refinement_picture import write_refinement_picture
+
+        unrefined = dataclasses.replace(planner.options, refine=False)
+        searched = Planner(grid, robot.step_model, unrefined)
+        before = plan_through(searched, start=options.start, poses=[*options.via, options.goal])
+        write_refinement_picture(options.refine_image, grid, robot.step_model, before, plan)
     if options.json:
         print(text, end="")
     elif plan.expansions or plan.found:
@@ -125,6 +122,37 @@ def run(options: PlanOptions) -> int:
     if not plan.found:
         say(f"no plan: {plan.status}: {plan.reason}")
     return ExitCode.DONE if plan.found else ExitCode.NO_PLAN
+
+
+def _check_outputs(options: PlanOptions) -> None:
+    """Find out before the search, not after it, that a file cannot be written or drawn."""
+    if options.out is not None:
+        require_writable(options.out, option="--out")
+    for option, path, endings in (
+        ("--image", options.image, PICTURE_ENDINGS),
+        ("--search-image", options.search_image, FIGURE_ENDINGS),
+        ("--refine-image", options.refine_image, PICTURE_ENDINGS),
+    ):
+        if path is not None:
+            require_writable(path, option=option, endings=endings)
+    if options.refine_image is not None and not options.refine:
+        raise InputError("--refine-image shows what refinement does: leave out --no-refine")
+
+
+def _search(options: PlanOptions) -> PlannerOptions:
+    """What the planner is told."""
+    # A limit that the person sets takes the place of the planner's own.
+    improve = options.time_limit is None and not options.prove
+    return PlannerOptions(
+        name=options.planner,
+        epsilon=options.epsilon,
+        improve_expansions=PlannerOptions.improve_expansions if improve else None,
+        time_limit_s=options.time_limit,
+        refine=options.refine,
+        unknown_is_free=options.unknown_is_free,
+        record=options.search_image is not None,
+        seed=options.seed,
+    )
 
 
 def summary(plan: FootstepPlan) -> str:
@@ -135,7 +163,10 @@ def summary(plan: FootstepPlan) -> str:
     )
     if not plan.found:
         return effort
-    return f"{len(plan)} steps, cost {plan.cost_m:.2f} m, {_bound(plan.epsilon)}\n{effort}"
+    before_m = plan.cost_before_refinement_m
+    refined = "" if before_m is None else f" refined from {before_m:.2f} m"
+    steps = f"{len(plan)} steps, cost {plan.cost_m:.2f} m{refined}"
+    return f"{steps}, {_bound(plan.epsilon)}\n{effort}"
 
 
 def _bound(epsilon: float) -> str:

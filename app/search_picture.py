@@ -66,7 +66,7 @@ def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
     axes.step(time_ms[found], record.cost_m[found], where="post", label="cost of the best plan")
     bound_m = np.maximum.accumulate(record.least_m) if len(record.least_m) else record.least_m
     axes.step(time_ms, bound_m, where="post", label="any plan costs at least")
-    if plan.cost_before_m is not None:
+    if plan.cost_before_refinement_m is not None:
         label = "the same, refined off the lattice"
         axes.plot(1e3 * plan.time_s, plan.cost_m, "k*", ms=9, label=label)
     axes.set(xlabel="time since the request, ms", ylabel="cost, m", title="cost over time")

@@ -31,7 +31,10 @@ def run(options: ServeOptions) -> int:
 
     robot, policy = load(options.robot)
     plan_options = PlannerOptions(
-        name=options.planner, unknown_is_free=options.unknown_is_free, seed=options.seed
+        name=options.planner,
+        refine=options.refine,
+        unknown_is_free=options.unknown_is_free,
+        seed=options.seed,
     )
     server = open_server(host=options.host, port=options.port, title=f"Footfall: {options.map}")
     session = Session(

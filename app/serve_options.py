@@ -30,6 +30,9 @@ class ServeOptions(MapOptions):
     planner: PlannerName = PlannerOptions.name
     """Which planner at first, such as ara; docs/planners.md tells them apart."""
 
+    refine: bool = True
+    """Move the steps of the plan found off the lattice, to where they cost less."""
+
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 

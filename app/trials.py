@@ -53,6 +53,7 @@ class Course:
     policy: Path | None
     unknown_is_free: bool
     planner: str = PlannerOptions.name
+    refine: bool = True
 
 
 def run(options: TrialsOptions) -> int:
@@ -67,6 +68,7 @@ def run(options: TrialsOptions) -> int:
         policy=options.policy,
         unknown_is_free=options.unknown_is_free,
         planner=options.planner,
+        refine=options.refine,
     )
     trials = draw_trials(course, options.count, options.apart, options.seed)
     results = []
@@ -213,5 +215,8 @@ def _percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float] | Non
 
 def _search(course: Course, trial: Trial) -> PlannerOptions:
     return PlannerOptions(
-        name=course.planner, unknown_is_free=course.unknown_is_free, seed=trial.seed
+        name=course.planner,
+        refine=course.refine,
+        unknown_is_free=course.unknown_is_free,
+        seed=trial.seed,
     )

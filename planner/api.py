@@ -22,6 +22,7 @@ from planner.request import Request, Result, SearchRecord
 from planner.space import build_space
 from planner.tables import tables_of
 from planner.toward import Toward
+from planner.verify import violations
 
 FloatArray = NDArray[np.float64]
 _ALREADY_THERE_M = 1e-6
@@ -179,15 +180,34 @@ class Planner:
             return replace(plan, reason=f"{plan.reason}; steps go from {low_m:g} to {high_m:g} m")
         if result.status is not PlanStatus.FOUND:
             return plan
-        if self.options.refine:
-            plan = replace(plan, cost_before_m=result.cost_m)
-            result = refine(request, result)
+        plan = replace(self._with_steps(plan, result), epsilon=result.epsilon)
+        return self._refined(plan, request, result) if self.options.refine else plan
+
+    def _refined(self, plan: FootstepPlan, request: Request, result: Result) -> FootstepPlan:
+        """The plan with its steps moved to where they cost less.
+
+        As it was, where none is cheaper or exact polygons find anything wrong with the moved ones.
+        """
+        plan = replace(plan, cost_before_refinement_m=plan.cost_m)
+        moved = refine(request, result)
+        if moved is result:
+            return plan
+        refined = self._with_steps(plan, moved)
+        wrong = violations(
+            refined,
+            self.grid,
+            self.model,
+            unknown_is_free=self.options.unknown_is_free,
+            stood_freely=not request.stands,
+        )
+        return plan if wrong else refined
+
+    def _with_steps(self, plan: FootstepPlan, result: Result) -> FootstepPlan:
         return replace(
             plan,
             side=result.side,
-            pose_world=self._poses_world(result, query.goal),
+            pose_world=self._poses_world(result, plan.goal),
             cost_m=result.cost_m,
-            epsilon=result.epsilon,
         )
 
     def _poses_world(self, result: Result, goal: Pose) -> FloatArray:

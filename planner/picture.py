@@ -183,13 +183,21 @@ def body_path(plan: FootstepPlan) -> FloatArray:
     return np.array(poses)
 
 
-def draw_plan(plan: FootstepPlan, grid: OccupancyGrid, model: StepModel) -> Image:
+def draw_plan(
+    plan: FootstepPlan,
+    grid: OccupancyGrid,
+    model: StepModel,
+    *,
+    shown_world: ArrayLike | None = None,
+) -> Image:
     """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
 
-    Large maps are cropped to the surroundings of the plan. A plan that was not found shows start
-    and goal only.
+    Large maps are cropped to the surroundings of the plan and of shown_world (n, 2). A plan that
+    was not found shows start and goal only.
     """
     points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
+    if shown_world is not None:
+        points = np.vstack([points, shown_world])
     on_map = points[grid.contains(points)]
     large = max(grid.size_m) > 12.0 and len(on_map) > 0
     canvas = Canvas(grid, around_world=on_map if large else None, margin_m=1.5)

@@ -45,9 +45,10 @@ class FootstepPlan:
     side (N,): Side of each step. pose_world (N, 4): x_m, y_m, z_m, yaw_rad of each foot placed.
     start_feet_world (2, 4): where the feet stand before the first step, left then right.
     start, goal: pair poses x_m, y_m, yaw_rad. Arrays are read-only.
-    epsilon: proven bound: cost_m <= epsilon * optimum on the lattice; inf if nothing is proven.
-    cost_before_m: cost of the plan on the lattice, before its steps were moved off it to lower the
-        cost; None where they were not.
+    epsilon: proven bound: what the search found costs at most epsilon times the optimum on the
+        lattice, and refinement only lowers that; inf if nothing is proven.
+    cost_before_refinement_m: cost of the plan that the search found, before its steps were moved to
+        lower the cost, which epsilon is about; None where that was not asked for.
     """
 
     start_feet_world: FloatArray
@@ -60,7 +61,7 @@ class FootstepPlan:
     status: PlanStatus = PlanStatus.FOUND
     reason: str = ""
     cost_m: float = 0.0
-    cost_before_m: float | None = None
+    cost_before_refinement_m: float | None = None
     epsilon: float = 1.0
     expansions: int = 0
     time_to_first_s: float = 0.0
@@ -105,7 +106,7 @@ class FootstepPlan:
                 for s, p in zip(self.side, self.pose_world.tolist(), strict=True)
             ],
             "cost_m": self.cost_m,
-            "cost_before_m": self.cost_before_m,
+            "cost_before_refinement_m": self.cost_before_refinement_m,
             "epsilon": self.epsilon if math.isfinite(self.epsilon) else None,
             "expansions": self.expansions,
             "time_to_first_s": self.time_to_first_s,
@@ -138,7 +139,7 @@ _STEP_KEYS = ("x", "y", "z", "yaw")
 def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
     steps = document["steps"]
     epsilon = document["epsilon"]
-    before = document.get("cost_before_m")
+    before = document.get("cost_before_refinement_m")
     return FootstepPlan(
         start_feet_world=np.array(
             [_numbers(document["start_feet"][s.name.lower()], 4) for s in Side]
@@ -154,7 +155,7 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         status=PlanStatus(document["status"]),
         reason=str(document["reason"]),
         cost_m=float(document["cost_m"]),
-        cost_before_m=None if before is None else float(before),
+        cost_before_refinement_m=None if before is None else float(before),
         epsilon=math.inf if epsilon is None else float(epsilon),
         expansions=int(document["expansions"]),
         time_to_first_s=float(document["time_to_first_s"]),

@@ -36,8 +36,9 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
         legs.append(plan)
     last, (x_m, y_m, yaw_rad) = legs[-1], np.asarray(poses[-1])
     walked = legs if last.found else []
-    before_m = [leg.cost_m if leg.cost_before_m is None else leg.cost_before_m for leg in walked]
-    refined = any(leg.cost_before_m is not None for leg in walked)
+    # None where the robot stands at the pose already, so that nothing was there to refine.
+    before_m = [leg.cost_before_refinement_m for leg in walked]
+    refined = any(cost_m is not None for cost_m in before_m)
     return replace(
         last,
         start_feet_world=legs[0].start_feet_world,
@@ -46,7 +47,7 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
         side=np.concatenate([leg.side for leg in walked] or [np.zeros(0, np.int8)]),
         pose_world=np.concatenate([leg.pose_world for leg in walked] or [np.zeros((0, 4))]),
         cost_m=sum(leg.cost_m for leg in walked),
-        cost_before_m=sum(before_m) if refined else None,
+        cost_before_refinement_m=sum(cost_m or 0.0 for cost_m in before_m) if refined else None,
         epsilon=max(leg.epsilon for leg in legs),
         expansions=sum(leg.expansions for leg in legs),
         time_to_first_s=sum(leg.time_to_first_s for leg in legs),

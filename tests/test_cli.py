@@ -103,6 +103,31 @@ def test_a_plan_as_files(tmp_path, capsys):
     assert min(picture.shape[:2]) >= 200
 
 
+def test_what_refinement_saves_is_told_and_drawn(tmp_path, capsys):
+    out, image = tmp_path / "plan.json", tmp_path / "refinement.png"
+    words = ("plan", "--map", ROOM, *GOAL, "--out", str(out))
+    assert main((*words, "--refine-image", str(image))) == ExitCode.DONE
+    refined = json.loads(out.read_text())
+    before_m = refined["cost_before_refinement_m"]
+    assert refined["cost_m"] < before_m
+    assert f"refined from {before_m:.2f} m" in capsys.readouterr().out
+    picture = cv2.imread(str(image))
+    assert picture is not None
+    # Two maps side by side.
+    assert picture.shape[1] > 1.5 * picture.shape[0]
+    assert main((*words, "--no-refine")) == ExitCode.DONE
+    assert "refined" not in capsys.readouterr().out
+    searched = json.loads(out.read_text())
+    assert searched["cost_before_refinement_m"] is None
+    assert searched["cost_m"] == before_m
+
+
+def test_a_picture_of_refinement_needs_refinement(capsys):
+    words = ("plan", "--map", ROOM, *GOAL, "--refine-image", "x.png", "--no-refine")
+    assert main(words) == ExitCode.BAD_INPUT
+    assert "--no-refine" in capsys.readouterr().err
+
+
 def test_the_document_says_when_there_is_no_plan(tmp_path, capsys):
     words = ("plan", "--map", ROOM, "--goal", "99,0,0", "--json", "--out", str(tmp_path / "p"))
     assert main(words) == ExitCode.NO_PLAN

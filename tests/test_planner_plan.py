@@ -61,7 +61,7 @@ def test_the_file_has_the_documented_keys(plan):
     assert document["format"] == "footstep-plan/1"
     assert list(document) == [
         *("format", "robot", "map", "start", "goal", "status", "reason", "start_feet", "steps"),
-        *("cost_m", "cost_before_m", "epsilon", "expansions"),
+        *("cost_m", "cost_before_refinement_m", "epsilon", "expansions"),
         *("time_to_first_s", "time_s", "planner"),
     ]
     assert document["status"] == "found"

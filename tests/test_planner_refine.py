@@ -17,10 +17,11 @@ from planner.chain import build_rules, chain_cost_um, foot_height_um, gap_axis, 
 from planner.collision import terrain_of
 from planner.keep_off import WAYS, room_off_blocked
 from planner.lattice import feet_apart
-from planner.model import Side
+from planner.model import Side, StepLimits
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, relative_step
 from planner.relax import _solve
+from planner.through import plan_through
 from planner.verify import violations
 from tests.planner_oracle import small_model
 
@@ -69,8 +70,8 @@ def assert_laws(grid, model, before, after, stood_freely=True):
     assert after.found == before.found
     if not before.found:
         return
-    assert before.cost_before_m is None
-    assert after.cost_before_m == before.cost_m
+    assert before.cost_before_refinement_m is None
+    assert after.cost_before_refinement_m == before.cost_m
     assert after.cost_m <= before.cost_m
     assert after.epsilon == before.epsilon
     assert len(after) <= len(before)
@@ -140,6 +141,61 @@ def test_uneven_steps_become_even_and_fewer_by_hand():
     np.testing.assert_allclose(after.pose_world[:, 0], [1.28, 1.56, 1.84, 1.84], atol=0.01)
     np.testing.assert_allclose(np.abs(after.pose_world[:, 1] - 2.0), 0.1, atol=0.005)
     np.testing.assert_allclose(after.pose_world[:, 3], 0.0, atol=0.01)
+
+
+def test_a_straight_walk_costs_what_it_must_by_hand():
+    # 2.4 m ahead in steps of at most 0.31 m, and one to put the other foot beside: 8 and 1. A step
+    # narrower than the stance costs 0.2 m/m and saves more, so all but the last are as narrow as
+    # may be, 0.16 m: by convexity no walk without turning costs less than this one.
+    least_m = 8 * (math.hypot(2.4 / 8, 0.16) + 0.1 + 0.2 * 0.04) + 0.2 + 0.1
+    model = small_model(
+        limits=StepLimits(x_m=(-0.15, 0.31), y_m=(0.16, 0.31), yaw_rad=(-0.16, 0.3)),
+        steps=((0.3, 0.2, 0.0), (0.2, 0.2, 0.0), (0.1, 0.2, 0.0), (0.0, 0.2, 0.0)),
+        turn_cost_m=0.05,
+        side_cost_m=0.2,
+        back_cost_m=0.2,
+        cell_m=0.04,
+    )
+    before, after = both(FLOOR, model, start=(1.0, 2.0, 0.0), goal=(3.4, 2.0, 0.0))
+    assert_laws(FLOOR, model, before, after)
+    assert len(after) == 9
+    assert before.cost_m > least_m + 0.1
+    assert after.cost_m == pytest.approx(least_m, abs=0.01 * least_m)
+
+
+def test_what_the_polygon_check_refuses_is_not_taken(monkeypatch):
+    query = {"start": (1.0, 1.0, 0.3), "goal": (4.6, 2.9, 2.0)}
+    before, after = both(FLOOR, small_model(), **query)
+    assert after.cost_m < before.cost_m
+    monkeypatch.setattr(
+        "planner.api.violations", lambda *_, **__: ["step 3: the foot hits something"]
+    )
+    kept = plan_footsteps(FLOOR, small_model(), options=REFINED, **query)
+    assert kept.cost_m == kept.cost_before_refinement_m == before.cost_m
+    assert np.array_equal(kept.pose_world, before.pose_world)
+    assert np.array_equal(kept.side, before.side)
+
+
+def test_every_leg_of_a_way_through_poses_is_refined():
+    grid, model = FLOOR, small_model()
+    poses = [(3.0, 1.5, 0.5), (3.0, 1.5, 0.5), (4.6, 2.9, 2.0)]
+    plans = [
+        plan_through(Planner(grid, model, options), start=(1.0, 1.0, 0.3), poses=poses)
+        for options in (LATTICE, REFINED)
+    ]
+    assert plans[1].found
+    assert violations(plans[1], grid, model) == []
+    # The robot stands at the second pose already: that leg has no steps and no cost.
+    assert plans[1].cost_m < plans[1].cost_before_refinement_m
+    legs = [
+        plan_footsteps(grid, model, start=(1.0, 1.0, 0.3), goal=poses[0], options=options)
+        for options in (LATTICE, REFINED)
+    ]
+    first = plans[1].pose_world[: len(legs[1])]
+    assert first.tolist() == legs[1].pose_world.tolist()
+    assert legs[1].cost_m < legs[0].cost_m
+    assert plans[1].cost_m - legs[1].cost_m < plans[0].cost_m - legs[0].cost_m
+    assert plans[0].cost_before_refinement_m is None
 
 
 def test_fewer_steps_alternate_from_either_foot():
@@ -330,6 +386,23 @@ def test_on_stairs_every_foot_stays_on_its_tread():
     assert after.cost_m < before.cost_m
     assert after.pose_world[-1, 2] == pytest.approx(0.2)
     assert len(np.unique(np.round(after.pose_world[:, 2], 6))) >= 4
+
+
+def test_feet_that_stand_on_a_stair_stay_there_while_the_rest_is_moved():
+    heights = np.zeros((40, 80))
+    for k in range(4):
+        heights[:, 30 + 6 * k :] = 0.05 * (k + 1)
+    grid = OccupancyGrid(cells=np.zeros((40, 80), np.uint8), resolution_m=0.05, elevation_m=heights)
+    limits = replace(small_model().limits, z_m=(-0.08, 0.08))
+    model = small_model(limits=limits, cell_m=0.05, headings=16)
+    # One foot on the first tread, the other on the second: 1.5..1.8 m and 1.8..2.1 m.
+    feet = np.array([[1.93, 1.07, 0.1, 0.05], [1.66, 0.9, 0.05, 0.0]])
+    before, after = both(
+        grid, model, start_feet_world=feet, first_side=Side.RIGHT, goal=(3.4, 1.1, 0.0)
+    )
+    assert_laws(grid, model, before, after, stood_freely=False)
+    assert after.side[0] == Side.RIGHT
+    assert after.cost_m < before.cost_m
 
 
 def test_height_under_a_foot_is_that_of_its_tread_or_none():

@@ -276,5 +276,7 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
     pipe.send(Answer(number=query.number, plan=plan, offer=offer, is_last=not improvable))
     if improvable and not pipe.poll():
         better = planners.thorough.plan(**asked)
-        plan = replace(better, time_to_first_s=plan.time_s) if better.found else plan
+        # Off the lattice the better start may come out dearer.
+        if better.found and better.cost_m <= plan.cost_m:
+            plan = replace(better, time_to_first_s=plan.time_s)
         pipe.send(Answer(number=query.number, plan=plan))
