@@ -7,7 +7,6 @@ import math
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely import affinity
 
 from maps.grid import OccupancyGrid
 from planner.model import Side, StepModel
@@ -83,13 +82,8 @@ def _step_wrongs(support: FloatArray, pose: FloatArray, swing: Side, model: Step
     if not np.all(np.isfinite(pose)):
         wrong.append(f"pose {pose} is not finite")
     out = 1.0 if swing == Side.LEFT else -1.0
-    ahead = affinity.rotate(
-        shapely.Point(pose[0] - support[0], pose[1] - support[1]),
-        -support[3],
-        origin=(0, 0),
-        use_radians=True,
-    )
-    values = ahead.x, out * ahead.y, out * math.remainder(pose[3] - support[3], 2 * math.pi)
+    ahead_m, aside_m = _turned(pose[0] - support[0], pose[1] - support[1], -support[3])
+    values = ahead_m, out * aside_m, out * math.remainder(pose[3] - support[3], 2 * math.pi)
     limits = model.limits
     for name, value, (low, high) in zip(
         ("x", "y", "yaw"), values, (limits.x_m, limits.y_m, limits.yaw_rad), strict=True
@@ -105,13 +99,18 @@ def _step_wrongs(support: FloatArray, pose: FloatArray, swing: Side, model: Step
     return wrong
 
 
-def _box(pose: FloatArray, length_m: float, width_m: float) -> shapely.Polygon:
+def _box(pose: FloatArray | tuple[float, ...], length_m: float, width_m: float) -> shapely.Polygon:
     """Rectangle of a size centred on a pose whose first two entries are x, y and last is yaw."""
     half_l, half_w = length_m / 2, width_m / 2
-    box = affinity.rotate(
-        shapely.box(-half_l, -half_w, half_l, half_w), pose[-1], origin=(0, 0), use_radians=True
-    )
-    return affinity.translate(box, pose[0], pose[1])
+    corners = (half_l, half_w), (-half_l, half_w), (-half_l, -half_w), (half_l, -half_w)
+    turned = (_turned(x, y, pose[-1]) for x, y in corners)
+    return shapely.Polygon([(pose[0] + x, pose[1] + y) for x, y in turned])
+
+
+def _turned(x: float, y: float, yaw_rad: float) -> tuple[float, float]:
+    """A point turned about the origin."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return cos * x - sin * y, sin * x + cos * y
 
 
 class _Checker:
@@ -121,8 +120,6 @@ class _Checker:
         self._blocked = grid.blocked(unknown_is_free)
         self._size_m = grid.resolution_m
         self._origin = grid.origin
-        rows, cols = self._blocked.shape
-        self._map = shapely.box(0, 0, cols * self._size_m, rows * self._size_m)
 
     def step(
         self,
@@ -157,13 +154,20 @@ class _Checker:
 
     def hits(self, pose_world: FloatArray, length_m: float, width_m: float) -> bool:
         """Whether a box overlaps a blocked cell or leaves the map."""
-        shrunk = _box(pose_world, length_m - 2 * _TOLERANCE_M, width_m - 2 * _TOLERANCE_M)
-        moved = affinity.translate(shrunk, -self._origin[0], -self._origin[1])
-        box = affinity.rotate(moved, -self._origin[2], origin=(0, 0), use_radians=True)
-        if not self._map.covers(box):
+        x0_m, y0_m, yaw_rad = self._origin
+        at = (
+            *_turned(pose_world[0] - x0_m, pose_world[1] - y0_m, -yaw_rad),
+            pose_world[-1] - yaw_rad,
+        )
+        box = _box(at, length_m - 2 * _TOLERANCE_M, width_m - 2 * _TOLERANCE_M)
+        low_x, low_y, high_x, high_y = box.bounds
+        rows, cols = self._blocked.shape
+        if min(low_x, low_y) < 0 or high_x > cols * self._size_m or high_y > rows * self._size_m:
             return True
         x0, y0, x1, y1 = (int(v // self._size_m) for v in box.bounds)
         row, col = np.nonzero(self._blocked[y0 : y1 + 1, x0 : x1 + 1])
+        if not len(row):
+            return False
         left, low = (col + x0) * self._size_m, (row + y0) * self._size_m
         squares = shapely.box(left, low, left + self._size_m, low + self._size_m)
         return bool(np.any(shapely.intersects(squares, box)))

@@ -55,12 +55,20 @@ class Ground:
         size_m = self._grid.resolution_m
         low_x, low_y, high_x, high_y = (max(0, int(v // size_m)) for v in area.bounds)
         window = slice(low_y, high_y + 1), slice(low_x, high_x + 1)
-        row, col = np.nonzero(self._free[window])
-        left, low = (col + low_x) * size_m, (row + low_y) * size_m
-        squares = shapely.box(left, low, left + size_m, low + size_m)
         assert self._grid.elevation_m is not None
-        heights: FloatArray = self._grid.elevation_m[window][row, col]
-        return heights[shapely.intersects(squares, area)]
+        free, heights = self._free[window], self._grid.elevation_m[window]
+        if not free.size:
+            return np.zeros(0)
+        # Neighbours in a row that are as high as each other make one rectangle.
+        begins = np.ones(free.shape, bool)
+        begins[:, 1:] = (free[:, 1:] != free[:, :-1]) | (heights[:, 1:] != heights[:, :-1])
+        first = np.flatnonzero(begins)
+        cells = np.diff(first, append=free.size)
+        row, col = np.divmod(first, free.shape[1])
+        left, low = (col + low_x) * size_m, (row + low_y) * size_m
+        rectangles = shapely.box(left, low, left + cells * size_m, low + size_m)
+        below = free.ravel()[first] & shapely.intersects(rectangles, area)
+        return np.asarray(heights.ravel()[first][below], float)
 
 
 def _sole(pose: FloatArray, model: StepModel, margin_m: float) -> shapely.Polygon:
