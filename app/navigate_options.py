@@ -36,7 +36,7 @@ class NavigateOptions(MapOptions):
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
     refine: bool = True
-    """Move the steps of the plan found off the lattice, to where they cost less."""
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
 
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""

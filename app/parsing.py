@@ -39,14 +39,22 @@ def parse_options(
         raise InputError(_message(event, kind, program))
 
     description = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nexample:\n  {example}"
+    on = {f"--{name}" for name in _switches_on(kind)}
     with tyro_errors.on_parse_error(complain):
         return tyro.cli(
             kind,
             prog=program,
             description=description,
-            args=list(words),
+            # tyro knows such a switch by the name that turns it off only.
+            args=[word for word in words if word not in on],
             config=(tyro.conf.FlagCreatePairsOff,),
         )
+
+
+def _switches_on(kind: type[Any]) -> set[str]:
+    """Names of the switches that are on unless turned off."""
+    fields = dataclasses.fields(kind)
+    return {field.name.replace("_", "-") for field in fields if field.default is True}
 
 
 def _message(event: tyro_errors.ParseErrorEvent, kind: type[Any], program: str) -> str:
@@ -75,6 +83,7 @@ def _unknown(word: str, kind: type[Any]) -> str:
         return f"{word!r} belongs to no option"
     name = word.partition("=")[0]
     known = [f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(kind)]
+    known += [f"--no-{name}" for name in _switches_on(kind)]
     near = difflib.get_close_matches(name, known, n=1)
     return f"there is no option {name}" + (f"; did you mean {near[0]}?" if near else "")
 

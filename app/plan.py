@@ -74,7 +74,7 @@ class PlanOptions(MapOptions):
     """Seconds after which the best plan so far is taken, such as 0.5."""
 
     refine: bool = True
-    """Move the steps of the plan found off the lattice, to where they cost less."""
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
 
     prove: bool = False
     """Go on until the plan is proven to be the cheapest; else only a while past the first plan."""

@@ -57,6 +57,17 @@ class SampleOptions:
     """Range, such as -1,1."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Switches:
+    """One switch that is on and one that is off."""
+
+    walks: bool = True
+    """Whether it walks."""
+
+    json: bool = False
+    """Whether it prints."""
+
+
 def parse(*words: str) -> SampleOptions:
     return parse_options(SampleOptions, words, program="prog sample", example="prog sample --x 1")
 
@@ -186,6 +197,24 @@ def test_wrong_options_are_told_in_one_line(words, told):
     assert "\n" not in message
 
 
+@pytest.mark.parametrize(
+    ("words", "walks", "json"),
+    [
+        ((), True, False),
+        (("--walks",), True, False),
+        (("--no-walks", "--json"), False, True),
+    ],
+)
+def test_a_switch_that_is_on_can_be_said_both_ways(words, walks, json):
+    options = parse_options(Switches, words, program="prog switches", example="prog switches")
+    assert (options.walks, options.json) == (walks, json)
+
+
+def test_a_mistyped_switch_is_named():
+    with pytest.raises(InputError, match="did you mean --no-walks"):
+        parse_options(Switches, ["--no-walk"], program="prog switches", example="prog switches")
+
+
 def test_help_shows_every_option_its_default_and_an_example(capsys):
     with pytest.raises(SystemExit) as left:
         parse("--help")
@@ -208,14 +237,16 @@ def test_every_command_has_help_for_every_option(name, capsys):
         parse_options(kind, ["--help"], program=name, example=f"{PROGRAM} {command.example}")
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert f"{PROGRAM} {command.example}" in text
-    told = {entry.partition(" ")[0]: entry for entry in text.split(" --")}
+    # A switch that is on has two names: "--refine, --no-refine".
+    told = {entry.partition(" ")[0].rstrip(","): entry for entry in text.split(" --")}
     for field in dataclasses.fields(kind):
         # An argument without a name of its own stands above the options.
         place = field.name.replace("_", "-")
+        place = f"no-{place}" if field.default is True else place
         entry = told[place] if place in told else text.partition("positional arguments")[2]
         assert "(default: " in entry or "(required)" in entry
         # A switch needs no example: its name is one.
-        assert "such as" in entry or field.default is False, f"no example for --{entry}"
+        assert "such as" in entry or isinstance(field.default, bool), f"no example for --{entry}"
 
 
 @pytest.mark.parametrize("name", COMMANDS)
