@@ -31,7 +31,9 @@ def refinement_picture(
     grid: OccupancyGrid, model: StepModel, before: FootstepPlan, after: FootstepPlan
 ) -> Picture:
     """The two plans, (H, W, 3)."""
-    shown_world = np.vstack([plan.pose_world[:, :2] for plan in (before, after)])
+    shown_world = np.vstack(
+        [after.start_feet_world[:, :2], before.pose_world[:, :2], after.pose_world[:, :2]]
+    )
     legend = [
         Swatch(colour=LEFT, text="left foot"),
         Swatch(colour=RIGHT, text="right foot"),

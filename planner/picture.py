@@ -192,15 +192,15 @@ def draw_plan(
 ) -> Image:
     """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
 
-    Large maps are cropped to the surroundings of the plan and of shown_world (n, 2). A plan that
-    was not found shows start and goal only.
+    Large maps are cropped to the surroundings of the plan, and any map to those of points
+    shown_world (n, 2) where they are given. A plan that was not found shows start and goal only.
     """
     points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
+    margin_m, crop = 1.5, max(grid.size_m) > 12.0
     if shown_world is not None:
-        points = np.vstack([points, shown_world])
+        points, margin_m, crop = np.asarray(shown_world, dtype=float), 0.8, True
     on_map = points[grid.contains(points)]
-    large = max(grid.size_m) > 12.0 and len(on_map) > 0
-    canvas = Canvas(grid, around_world=on_map if large else None, margin_m=1.5)
+    canvas = Canvas(grid, around_world=on_map if crop and len(on_map) else None, margin_m=margin_m)
     if plan.found:
         canvas.line(body_path(plan)[:, :2], PATH, 0.02)
     for side in Side:

@@ -164,13 +164,13 @@ def test_a_straight_walk_costs_what_it_must_by_hand():
 
 
 def test_what_the_polygon_check_refuses_is_not_taken(monkeypatch):
-    query = {"start": (1.0, 1.0, 0.3), "goal": (4.6, 2.9, 2.0)}
-    before, after = both(FLOOR, small_model(), **query)
+    start, goal = (1.0, 1.0, 0.3), (4.6, 2.9, 2.0)
+    before, after = both(FLOOR, small_model(), start=start, goal=goal)
     assert after.cost_m < before.cost_m
     monkeypatch.setattr(
         "planner.api.violations", lambda *_, **__: ["step 3: the foot hits something"]
     )
-    kept = plan_footsteps(FLOOR, small_model(), options=REFINED, **query)
+    kept = plan_footsteps(FLOOR, small_model(), options=REFINED, start=start, goal=goal)
     assert kept.cost_m == kept.cost_before_refinement_m == before.cost_m
     assert np.array_equal(kept.pose_world, before.pose_world)
     assert np.array_equal(kept.side, before.side)
@@ -186,7 +186,7 @@ def test_every_leg_of_a_way_through_poses_is_refined():
     assert plans[1].found
     assert violations(plans[1], grid, model) == []
     # The robot stands at the second pose already: that leg has no steps and no cost.
-    assert plans[1].cost_m < plans[1].cost_before_refinement_m
+    assert plans[1].cost_m < (plans[1].cost_before_refinement_m or 0.0)
     legs = [
         plan_footsteps(grid, model, start=(1.0, 1.0, 0.3), goal=poses[0], options=options)
         for options in (LATTICE, REFINED)
