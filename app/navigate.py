@@ -173,12 +173,14 @@ def _draw(
         write_replay(options.html, grid, robot, story)
     if not options.draws_robot:
         return
+    from app.footmarks import footmarks_of
     from app.strip import write_strip
     from app.video import write_film
 
     scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
+    marks = footmarks_of(robot.step_model.foot, navigator.followed, navigator.placed)
     if options.video is not None:
-        write_film(options.video, scene.model, recording)
+        write_film(options.video, scene.model, recording, marks=marks)
     if options.strip is not None:
         write_strip(
             options.strip,
@@ -188,8 +190,11 @@ def _draw(
             view=FOLLOW,
             width=400,
             height=360,
+            marks=marks,
         )
     if options.gait_strip is not None:
         middle_s = recording.time_s[-1] / 2
         end_s = middle_s + 2 * robot.gait.step_s
-        write_strip(options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s)
+        write_strip(
+            options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s, marks=marks
+        )

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.cutaway import GLASS_ALPHA, eye_position, fixed_boxes, hides, points_to_see
+from app.footmarks import Footmarks
 from sim.gl import NoGlError
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
 
@@ -112,11 +113,17 @@ class Drawer:
     """Draws moments of one recording; made by `drawing`, which also frees what it holds."""
 
     def __init__(
-        self, renderer: mujoco.Renderer, data: mujoco.MjData, recording: Recording, view: View
+        self,
+        renderer: mujoco.Renderer,
+        data: mujoco.MjData,
+        recording: Recording,
+        view: View,
+        marks: Footmarks | None = None,
     ) -> None:
         import mujoco
 
         self._renderer = renderer
+        self._marks = marks
         self._data = data
         self._recording = recording
         self._path = camera_path(recording, view)
@@ -143,6 +150,8 @@ class Drawer:
         self._camera.azimuth = self._path.azimuth_deg[index]
         self._make_glass(index)
         self._renderer.update_scene(self._data, self._camera, self._shown)
+        if self._marks is not None:
+            self._marks.add_to(self._renderer.scene, float(self._recording.time_s[index]))
         return np.array(self._renderer.render())
 
     def _make_glass(self, index: int) -> None:
@@ -168,8 +177,9 @@ def drawing(
     width: int,
     height: int,
     fine: bool = False,
+    marks: Footmarks | None = None,
 ) -> Iterator[Drawer]:
-    """Gives a Drawer of pictures of this size.
+    """Gives a Drawer of pictures of this size, with the footprints `marks` on the floor.
 
     Shadows, reflections and smooth edges are drawn when `fine`: without a graphics card they
     take six times as long. Walls that hide the robot are drawn as glass. What this changes of the
@@ -195,4 +205,4 @@ def drawing(
     with renderer:
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             renderer.scene.flags[flag] = fine
-        yield Drawer(renderer, mujoco.MjData(model), recording, view)
+        yield Drawer(renderer, mujoco.MjData(model), recording, view, marks)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
+from app.footmarks import Footmarks
 from app.output import write_picture
 from app.rendering import SIDE, Picture, Recording, View, drawing
 
@@ -29,10 +30,12 @@ def write_strip(
     view: View = SIDE,
     width: int = 280,
     height: int = 420,
+    marks: Footmarks | None = None,
 ) -> None:
     """Writes `frames` moments, evenly spread from start_s to end_s, each with its time.
 
     Without start or end it is the whole walk. With `columns` the strip is broken into rows.
+    The footprints `marks` lie on the floor.
 
     Raises:
         NoGlError: No GL library works here.
@@ -43,7 +46,9 @@ def write_strip(
     first_s = recording.time_s[0] if start_s is None else start_s
     last_s = recording.time_s[-1] if end_s is None else end_s
     times_s = np.linspace(first_s, last_s, frames)
-    with drawing(model, recording, view, width=width, height=height, fine=True) as drawer:
+    with drawing(
+        model, recording, view, width=width, height=height, fine=True, marks=marks
+    ) as drawer:
         tiles = [
             _labelled(drawer.draw(int(moment)), f"{time_s:.2f} s")
             for moment, time_s in zip(recording.nearest(times_s), times_s, strict=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import av
 import numpy as np
 
+from app.footmarks import Footmarks
 from app.output import replacing
 from app.progress import ProgressBar
 from app.rendering import FOLLOW, Recording, View, drawing
@@ -25,10 +26,13 @@ def write_film(
     frames_per_s: int = 20,
     width: int = 640,
     height: int = 480,
+    fine: bool = False,
+    marks: Footmarks | None = None,
 ) -> int:
     """Writes the walk as a film that runs at the speed of the walk; returns the count of frames.
 
-    Width and height are even numbers: H.264 takes no others.
+    Width and height are even numbers: H.264 takes no others. `fine` and `marks` are as in
+    `drawing`.
 
     Raises:
         NoGlError: No GL library works here.
@@ -38,7 +42,9 @@ def write_film(
     count = int((last_s - first_s) * frames_per_s) + 1
     moments = recording.nearest(first_s + np.arange(count) / frames_per_s)
     with (
-        drawing(model, recording, view, width=width, height=height) as drawer,
+        drawing(
+            model, recording, view, width=width, height=height, fine=fine, marks=marks
+        ) as drawer,
         replacing(path) as temporary,
         ProgressBar("film", count) as bar,
         av.open(str(temporary), "w", format="mp4") as film,
