@@ -100,6 +100,21 @@ def test_a_box_in_the_way_is_walked_around(session):
     assert session._rover.scene.model.body("walls").geomnum == 1
 
 
+def test_a_box_that_comes_while_a_walk_is_improved_begins_no_new_walk():
+    session = Session(HALL, ROBOT, POLICY)
+    try:
+        session._ask(AHEAD, fresh=True)
+        assert session._question is not None
+        session._plan_anew()
+        assert session._question.fresh
+        # Its first plan is walked already, the better one is still being thought of.
+        session._followed_number = session._question.number
+        session._plan_anew()
+        assert not session._question.fresh
+    finally:
+        session.close()
+
+
 def test_it_stops_where_the_way_is_closed(session):
     session.pace.factor = 4.0
     session.go_to((3.0, 0.0, 0.0))

@@ -23,7 +23,6 @@ _SLAB_DEPTH_M = 0.3
 _UNKNOWN_HEIGHT_M = 0.02
 _LINES_HEIGHT_M = 0.001
 _SHADES = 24
-_FIELD_OF_VIEW_RAD = math.radians(50)
 
 
 def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
@@ -107,20 +106,6 @@ def _add_boxes(
     scene.add_mesh_simple(
         name, vertices.astype(np.float32), faces.astype(np.uint32), color=rgb, flat_shading=True
     )
-
-
-def aim_camera(
-    camera: viser.InitialCameraConfig, grid: OccupancyGrid, *, beside_panel: bool = False
-) -> None:
-    """Lets pages that open see the whole map from the south, above; the panel is on the right."""
-    x0, y0, x1, y1 = grid.bounds_world()
-    centre_x, centre_y = (x0 + x1) / 2, (y0 + y1) / 2
-    far_m = max(x1 - x0, 1.4 * (y1 - y0), 3.0)
-    if beside_panel:
-        centre_x += 0.14 * far_m
-    camera.position = (centre_x, centre_y - 0.65 * far_m, 0.75 * far_m)
-    camera.look_at = (centre_x, centre_y, 0.0)
-    camera.fov = _FIELD_OF_VIEW_RAD
 
 
 def turned(yaw_rad: float) -> tuple[float, float, float, float]:

@@ -10,8 +10,9 @@ import numpy as np
 
 from app.page.bodies import look_of
 from app.page.boxes import Obstacle
+from app.page.cameras import Cameras
 from app.page.figure import Figure
-from app.page.floor import add_floor, aim_camera
+from app.page.floor import add_floor
 from app.page.panel import Actions, Panel
 from app.page.pointer import FloorPointer, Pointed, Tool, facing
 from app.page.prints import Marker, Prints
@@ -25,14 +26,20 @@ from planner.plan import Pose
 from sim.robot import Robot
 
 FRAMES_PER_S = 30.0
-_TEXT_EVERY_S = 0.25
-_PLOT_EVERY_S = 0.5
+TEXT_EVERY_S = 0.25
+PLOT_EVERY_S = 0.5
 _NOTICE_FOR_S = 6.0
 _PALE_RGB = (240, 170, 160)
 
 
 class Page:
-    """Shows a session to whoever opens the page, and passes on what they wish."""
+    """Shows a session to whoever opens the page, and passes on what they wish.
+
+    Words are shown anew every `text_every_s`, plots every `plot_every_s`, all else at every frame.
+    """
+
+    text_every_s = TEXT_EVERY_S
+    plot_every_s = PLOT_EVERY_S
 
     def __init__(
         self,
@@ -44,24 +51,24 @@ class Page:
         load: Callable[[str], tuple[Robot, Policy]],
         options: PlannerOptions,
     ) -> None:
-        self._server, self._session, self._robot, self._load = server, session, robot, load
+        self._server, self.session, self._robot, self._load = server, session, robot, load
         self._tool = Tool.GOAL
         self._notice: tuple[float, Notice] | None = None
         self._shown: Snapshot | None = None
         self._text_s = self._plot_s = 0.0
         self._drawing = threading.Lock()
         scene, grid = server.scene, session.grid
-        aim_camera(server.initial_camera, grid, beside_panel=True)
         self._goal = Marker(scene, grid, "/goal")
         self._wished = Marker(scene, grid, "/wished", _PALE_RGB)
-        self._toybox = Toybox(
+        self.toybox = Toybox(
             scene,
             grid,
             on_change=session.set_obstacles,
             is_refused=self._why_no_box,
             on_refused=self._say,
+            on_drag=self._dragged,
         )
-        self._pointer = FloorPointer(self._pointed, grid)
+        self._pointer = FloorPointer(self._pointed, grid, on_drag=self._dragged)
         self._pointer.watch(add_floor(scene, grid))
         self._prints = Prints(scene, grid, robot.step_model.foot)
         self._figure = Figure(scene, look_of(robot))
@@ -73,10 +80,17 @@ class Page:
             set_speed=lambda factor: setattr(session.pace, "factor", factor),
             set_options=session.set_options,
             set_robot=self._set_robot,
-            clear_boxes=self._toybox.clear,
-            remove_box=self._toybox.remove_last,
+            toggle_follow=lambda client_id: self._cameras.toggle(client_id),
+            clear_boxes=self.toybox.clear,
+            remove_box=self.toybox.remove_last,
         )
         self._panel = Panel(server.gui, actions, robots=robots, robot=robot.name, options=options)
+        self._cameras = Cameras(server, grid, order=self._panel.switch_order)
+
+    @property
+    def visitors(self) -> int:
+        """How many have the page open."""
+        return self._cameras.count
 
     def wait_for_visitor(self) -> None:
         """Shows the scene as it is until somebody has opened the page."""
@@ -86,7 +100,7 @@ class Page:
         """Shows what happens until `is_over`, or for ever; a frame that fails ends the page."""
         while not is_over():
             began_s = time.monotonic()
-            self.show(self._session.snapshot)
+            self.show(self.session.snapshot)
             time.sleep(max(0.0, 1 / FRAMES_PER_S - (time.monotonic() - began_s)))
 
     def show(self, snapshot: Snapshot) -> None:
@@ -97,13 +111,15 @@ class Page:
             self._figure.pose(snapshot.qpos)
             self._show_steps(snapshot)
             self._shown = snapshot
+        place = snapshot.qpos[:2]
+        self._cameras.show(np.array([*place, float(self.session.grid.height_m(place))]))
         now_s = time.monotonic()
-        if now_s - self._text_s >= _TEXT_EVERY_S:
+        if now_s - self._text_s >= self.text_every_s:
             self._text_s = now_s
             self._panel.show(snapshot, self._own_notice(now_s))
-        if now_s - self._plot_s >= _PLOT_EVERY_S:
+        if now_s - self._plot_s >= self.plot_every_s:
             self._plot_s = now_s
-            self._panel.plots.show_forces(self._session.record.forces())
+            self._panel.plots.show_forces(self.session.record.forces())
 
     def _show_steps(self, new: Snapshot) -> None:
         old, prints = self._shown, self._prints
@@ -131,31 +147,34 @@ class Page:
 
     def _use(self, tool: Tool) -> None:
         self._tool = tool
-        self._toybox.removes_on_click = tool is Tool.BOX
+        self.toybox.removes_on_click = tool is Tool.BOX
         self._pointer.use(tool)
 
     def _go(self, goal: Pose) -> None:
         self._wished.show(goal)
-        self._session.go_to(goal)
+        self.session.go_to(goal)
 
     def _pointed(self, pointed: Pointed, is_final: bool) -> None:
         if self._tool is Tool.BOX:
-            self._toybox.add(pointed[:2], self._panel.box_size_m)
+            self.toybox.add(pointed[:2], self._panel.box_size_m)
             return
-        qpos = self._session.snapshot.qpos
+        qpos = self.session.snapshot.qpos
         w, x, y, z = qpos[3:7]
         yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         goal = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
         self._wished.show(goal)
         if is_final and self._tool is Tool.ROBOT:
             self._wished.show(None)
-            self._session.reset(goal)
+            self.session.reset(goal)
         elif is_final:
             self._panel.show_goal(goal)
-            self._session.go_to(goal)
+            self.session.go_to(goal)
+
+    def _dragged(self, client_id: int) -> None:
+        self._cameras.hold(client_id)
 
     def _why_no_box(self, obstacle: Obstacle) -> str:
-        return "no box can stand on the robot" if self._session.is_on_robot(obstacle) else ""
+        return "no box can stand on the robot" if self.session.is_on_robot(obstacle) else ""
 
     def _set_robot(self, name: str) -> None:
         """Exchanges the robot; one without a policy is refused."""
@@ -169,7 +188,7 @@ class Page:
         with self._drawing:
             self._figure.remove()
             self._prints.clear()
-            self._session.set_robot(robot, policy)
-            self._prints = Prints(self._server.scene, self._session.grid, robot.step_model.foot)
+            self.session.set_robot(robot, policy)
+            self._prints = Prints(self._server.scene, self.session.grid, robot.step_model.foot)
             self._figure = Figure(self._server.scene, look)
             self._shown = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -16,7 +16,9 @@ from app.page.snapshot import Notice, Snapshot
 from planner.options import PLANNERS, PlannerOptions
 from planner.plan import Pose
 
-SPEEDS = {"Pause": 0.0, "1x": 1.0, "Fastest": math.inf}
+SPEEDS = {"Pause": 0.0, "Slow": 0.25, "1x": 1.0, "Fastest": math.inf}
+# Stands before the name on the button that is pressed: viser's buttons all look alike.
+CHOSEN = "● "
 _HINTS = {
     Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks.",
     Tool.BOX: "**Box**: click the floor to set a box down, click a box to take it away, drag it to "
@@ -35,6 +37,7 @@ class Actions:
     reset: Callable[[], None]
     use_tool: Callable[[Tool], None]
     set_speed: Callable[[float], None]
+    toggle_follow: Callable[[int], None]
     set_options: Callable[[PlannerOptions], None]
     set_robot: Callable[[str], None]
     clear_boxes: Callable[[], None]
@@ -64,8 +67,9 @@ class Panel:
         self._take_offer.on_click(lambda _event: self._go_to_offer())
         self._add_tools()
         self._add_walk()
-        with gui.add_folder("Goal"):
+        with gui.add_folder("Goal") as goal:
             self._add_goal()
+        self._switch_order = goal.order - 0.5
         with gui.add_folder("Boxes", expand_by_default=False):
             self._add_boxes()
         with gui.add_folder("Robot and planner", expand_by_default=False):
@@ -73,6 +77,11 @@ class Panel:
         with gui.add_folder("Plots"):
             self.plots = Plots(gui)
         self._add_keys()
+
+    @property
+    def switch_order(self) -> float:
+        """Where a page's own switches stand among the controls: between walk and goal."""
+        return self._switch_order
 
     @property
     def box_size_m(self) -> tuple[float, float]:
@@ -103,18 +112,24 @@ class Panel:
             self._actions.go(self._offer)
 
     def _add_tools(self) -> None:
-        tools = self._gui.add_button_group("Pointer", [str(tool) for tool in Tool])
-        tools.on_click(lambda event: self.use_tool(Tool(event.target.value)))
+        self._tools = self._gui.add_button_group("Pointer", marked(Tool, Tool.GOAL))
+        self._tools.on_click(lambda event: self.use_tool(Tool(unmarked(event.target.value))))
         self._hint = self._gui.add_markdown(_HINTS[Tool.GOAL])
 
     def use_tool(self, tool: Tool) -> None:
         """Chooses what the pointer does."""
         self._hint.content = _HINTS[tool]
+        self._tools.options = marked(Tool, tool)
         self._actions.use_tool(tool)
 
+    def set_speed(self, name: str) -> None:
+        """Chooses one of SPEEDS."""
+        self._speeds.options = marked(SPEEDS, name)
+        self._actions.set_speed(SPEEDS[name])
+
     def _add_walk(self) -> None:
-        speeds = self._gui.add_button_group("Speed", list(SPEEDS))
-        speeds.on_click(lambda event: self._actions.set_speed(SPEEDS[event.target.value]))
+        self._speeds = self._gui.add_button_group("Speed", marked(SPEEDS, "1x"))
+        self._speeds.on_click(lambda event: self.set_speed(unmarked(event.target.value)))
         walk = self._gui.add_button_group("Walk", ["Stop", "Reset"])
         walk.on_click(
             lambda event: (
@@ -162,15 +177,31 @@ class Panel:
     def _add_keys(self) -> None:
         for tool, key in ((Tool.GOAL, "G"), (Tool.BOX, "B"), (Tool.ROBOT, "R"), (Tool.LOOK, "L")):
             self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
-        for name, key in (("Pause", "P"), ("1x", "1"), ("Fastest", "F")):
-            self._add_key(f"Speed: {name}", key, partial(self._actions.set_speed, SPEEDS[name]))
+        for name, key in (("Pause", "P"), ("Slow", "2"), ("1x", "1"), ("Fastest", "F")):
+            self._add_key(f"Speed: {name}", key, partial(self.set_speed, name))
+        follow = self._gui.add_command("Camera follows, or does not", hotkey="C")
+        follow.on_trigger(lambda event: self._toggle_follow(event.client_id))
         self._add_key("Stop", "X", self._actions.stop)
         self._add_key("Reset", "0", self._actions.reset)
         self._add_key("Remove the last box", "backspace", self._actions.remove_box)
 
+    def _toggle_follow(self, client_id: int | None) -> None:
+        if client_id is not None:
+            self._actions.toggle_follow(client_id)
+
     def _add_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
         command = self._gui.add_command(label, hotkey=key)
         command.on_trigger(lambda _event: action())
+
+
+def marked(names: Iterable[str], chosen: str) -> tuple[str, ...]:
+    """The names as they stand on buttons, the chosen one marked."""
+    return tuple(f"{CHOSEN}{name}" if name == chosen else str(name) for name in names)
+
+
+def unmarked(name: str) -> str:
+    """The name that a button stands for."""
+    return name.removeprefix(CHOSEN)
 
 
 def status_text(snapshot: Snapshot) -> str:

@@ -92,6 +92,11 @@ class PlanningProcess:
         """Of the last question, whoever asked it."""
         return self._number
 
+    @property
+    def process_id(self) -> int | None:
+        """Of the process that plans."""
+        return self._process.pid
+
     def set_world(self, world: World) -> None:
         """Plans from now on over another map, or for another robot."""
         self._world = world

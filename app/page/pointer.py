@@ -38,12 +38,18 @@ class FloorPointer:
     """Turns clicks and drags on the floor into poses.
 
     `on_pose(pointed, is_final)` is called also while a drag goes on; a click leaves the heading
-    open. With the tool LOOK a drag on the floor turns the camera. The grid says how high the floor
-    is.
+    open. `on_drag(client_id)` is called for each piece of a drag. With the tool LOOK a drag on the
+    floor turns the camera. The grid says how high the floor is.
     """
 
-    def __init__(self, on_pose: Callable[[Pointed, bool], None], grid: OccupancyGrid) -> None:
-        self._on_pose = on_pose
+    def __init__(
+        self,
+        on_pose: Callable[[Pointed, bool], None],
+        grid: OccupancyGrid,
+        *,
+        on_drag: Callable[[int], None] = lambda _client_id: None,
+    ) -> None:
+        self._on_pose, self._on_drag = on_pose, on_drag
         self._grid = grid
         self._floor: viser.BoxHandle | None = None
         self._tool = Tool.GOAL
@@ -74,6 +80,7 @@ class FloorPointer:
             self._on_pose(Pointed(*point), True)
 
     async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
+        self._on_drag(event.client.client_id)
         eye = np.asarray(event.client.camera.position)
         point = on_ground(self._grid, eye, np.asarray(event.end_position) - eye)
         if point is None:

@@ -11,8 +11,10 @@ import numpy as np
 from app.navigator import Placed
 from app.output import write_text
 from app.page.bodies import look_of
+from app.page.camera import overview
+from app.page.cameras import aim_pages
 from app.page.figure import Figure
-from app.page.floor import add_floor, aim_camera
+from app.page.floor import add_floor
 from app.page.prints import Marker, Prints
 from app.page.server import open_server
 from app.progress import ProgressBar
@@ -24,6 +26,8 @@ from sim.robot import Robot
 FRAMES_PER_S = 20.0
 # A long walk gets fewer frames, so that the file stays one that can be sent by mail.
 MAX_FRAMES = 1600
+# Of the window in which it is likely to be watched.
+_ASPECT = 1.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +49,7 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
     server = open_server(title="Footfall")
     try:
         # Before the recording begins: what comes later moves the camera while the walk plays.
-        aim_camera(server.initial_camera, grid)
+        aim_pages(server, overview(grid, _ASPECT, beside_panel=False))
         add_floor(server.scene, grid)
         Marker(server.scene, grid, "/goal").show(story.goal)
         prints = Prints(server.scene, grid, robot.step_model.foot)

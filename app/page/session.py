@@ -103,6 +103,11 @@ class Session:
         """The map without the boxes."""
         return self._bare_grid
 
+    @property
+    def planner_pid(self) -> int | None:
+        """The process that plans."""
+        return self._planner.process_id
+
     def go_to(self, goal: Sequence[float]) -> None:
         """Walk to this pose."""
         self._wishes.put(lambda: self._ask(_pose(goal), fresh=True))
@@ -193,7 +198,12 @@ class Session:
             self.ended = copy.copy(rover)
         if self._question and self._question.number != self._planner.number:
             # The rover asked in between, for want of patience, and got its answer.
-            self._ask(self._question.goal, fresh=self._question.fresh)
+            self._ask_again(self._question)
+
+    def _ask_again(self, question: _Question) -> None:
+        """Asks anew; a walk that its first plan has begun already goes on."""
+        begun = self._followed_number == question.number
+        self._ask(question.goal, fresh=question.fresh and not begun)
 
     def _ask(self, goal: Pose, *, fresh: bool) -> None:
         if self._rover.has_ended:
@@ -276,7 +286,7 @@ class Session:
     def _plan_anew(self) -> None:
         """What was asked is asked again, and what is walked is planned again."""
         if self._question is not None:
-            self._ask(self._question.goal, fresh=self._question.fresh)
+            self._ask_again(self._question)
         elif self._rover.going and not self._rover.has_ended:
             self._ask(_pose(self._rover.goal), fresh=False)
 

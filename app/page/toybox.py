@@ -21,7 +21,8 @@ class Toybox:
     """Adds, moves and removes boxes; `on_change` gets all of them whenever they change.
 
     `is_refused(obstacle)` says why a box cannot stand somewhere, or nothing; a box that is dragged
-    to such a place goes back to where it was.
+    to such a place goes back to where it was. `on_drag(client_id)` is called for each piece of a
+    drag.
     """
 
     def __init__(
@@ -32,9 +33,11 @@ class Toybox:
         on_change: Callable[[Sequence[Obstacle]], None],
         is_refused: Callable[[Obstacle], str],
         on_refused: Callable[[str], None],
+        on_drag: Callable[[int], None] = lambda _client_id: None,
     ) -> None:
         self._scene, self._grid = scene, grid
         self._on_change, self._is_refused, self._on_refused = on_change, is_refused, on_refused
+        self._on_drag = on_drag
         self._obstacles: dict[int, Obstacle] = {}
         self._drawn: dict[int, viser.BoxHandle] = {}
         self.removes_on_click = False
@@ -106,6 +109,7 @@ class Toybox:
 
     def _dragged(self, number: int, event: viser.SceneNodeDragEvent) -> None:
         """Follows the pointer; the box counts at its new place when it is let go."""
+        self._on_drag(event.client.client_id)
         drawn, before = self._drawn[number], self._obstacles[number]
         # The grab point is somewhere on the box; the pointer is followed at that height.
         height_m = np.array([0.0, 0.0, event.start_position[2]])

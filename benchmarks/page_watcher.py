@@ -1,0 +1,84 @@
+"""A page without a browser: a connection that a server takes for one of viser's own."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import Counter
+from typing import Any
+
+import msgspec
+import numpy as np
+import viser
+import zstandard
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+_SEEN_M = (0.0, -5.0, 5.0)
+
+
+class Watcher:
+    """Opens the page at an address; hears all that comes until it is closed.
+
+    `heard` counts the messages by kind; `last` has the latest of each kind. One that is lazy never
+    reads what it is sent.
+    """
+
+    def __init__(
+        self, url: str, *, is_lazy: bool = False, width_px: int = 900, height_px: int = 600
+    ) -> None:
+        self.heard: Counter[str] = Counter()
+        self.last: dict[str, dict[str, Any]] = {}
+        self._shape = width_px, height_px
+        self._socket = connect(
+            url.replace("http", "ws", 1),
+            subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
+            max_size=None,
+            compression=None,
+        )
+        self.say_camera(_SEEN_M, (0.0, 0.0, 0.0))
+        self._ears = threading.Thread(target=self._listen, daemon=True)
+        if not is_lazy:
+            self._ears.start()
+
+    def say_camera(
+        self, position: tuple[float, float, float], look_at: tuple[float, float, float]
+    ) -> None:
+        """Tells the server where this page's camera is; a server counts no page before."""
+        self._send(
+            type="ViewerCameraMessage",
+            wxyz=(1.0, 0.0, 0.0, 0.0),
+            position=position,
+            fov=0.9,
+            near=0.01,
+            far=1000.0,
+            image_height=self._shape[1],
+            image_width=self._shape[0],
+            look_at=look_at,
+            up_direction=(0.0, 0.0, 1.0),
+        )
+
+    def close(self) -> None:
+        """Closes the page politely."""
+        self._socket.close()
+
+    def vanish(self) -> None:
+        """Is gone without a word, as when a laptop falls asleep or a browser crashes."""
+        with contextlib.suppress(OSError):
+            self._socket.socket.shutdown(2)
+
+    def _send(self, **message: Any) -> None:
+        self._socket.send(msgspec.msgpack.encode(message))
+
+    def _listen(self) -> None:
+        unzip = zstandard.ZstdDecompressor()
+        try:
+            for raw in self._socket:
+                assert isinstance(raw, bytes)
+                packed = int(np.frombuffer(raw[8:16], "<u8")[0])
+                window = msgspec.msgpack.decode(unzip.decompress(raw[16 : 16 + packed]))
+                for message in window["messages"]:
+                    self.heard[message["type"]] += 1
+                    self.last[message["type"]] = message
+        except (ConnectionClosed, OSError):
+            return

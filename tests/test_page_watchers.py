@@ -1,0 +1,184 @@
+"""Several pages at one robot: none harms another, and none makes the server grow."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.page.page import Page
+from app.page.server import PageServer, open_server
+from app.page.session import Session
+from app.page.snapshot import Notice, Snapshot
+from benchmarks.page_watcher import Watcher
+from controller.policy import POLICY_FOLDER, load_policy
+from maps.grid import OccupancyGrid
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan
+from sim.robots import get_robot
+
+ROBOT = get_robot("jvrc1")
+POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
+HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
+PATIENCE_S = 120.0
+
+
+class Served:
+    """A page that is served; `is_shown` says whether a thread draws what happens."""
+
+    def __init__(self) -> None:
+        self.server: PageServer = open_server(title="test")
+        self.session = Session(HALL, ROBOT, POLICY)
+        self.session.pace.factor = math.inf
+        self.page = Page(
+            self.server,
+            self.session,
+            ROBOT,
+            robots=(ROBOT.name,),
+            load=lambda name: (ROBOT, POLICY),
+            options=PlannerOptions(),
+        )
+        self._ends = threading.Event()
+        self._painter = threading.Thread(target=lambda: self.page.run(self._ends.is_set))
+
+    def live(self) -> None:
+        """Lets the robot live and the page be drawn."""
+        self.session.start()
+        self._painter.start()
+
+    def close(self) -> None:
+        self._ends.set()
+        if self._painter.is_alive():
+            self._painter.join()
+        self.session.close()
+        self.server.stop()
+
+    @property
+    def kept(self) -> tuple[int, int, int]:
+        """Messages kept for who comes later, nodes of the scene, controls of the panel."""
+        buffer = self.server._websock_server._broadcast_buffer
+        nodes, controls = (
+            self.server.scene._handle_from_node_name,
+            self.server.gui._gui_input_handle_from_uuid,
+        )
+        return len(buffer.message_from_id), len(nodes), len(controls)
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    served = Served()
+    yield served
+    served.close()
+
+
+def wait_until(wanted: Callable[[], Any], what: str) -> None:
+    until_s = time.monotonic() + PATIENCE_S
+    while not wanted():
+        assert time.monotonic() < until_s, f"waited {PATIENCE_S} s in vain: {what}"
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("parting", ["close", "vanish", "sleep"])
+def test_a_page_that_goes_or_sleeps_on_the_way_harms_neither_robot_nor_others(served, parting):
+    served.live()
+    stays = Watcher(served.server.url)
+    goes = Watcher(served.server.url, is_lazy=parting == "sleep")
+    wait_until(lambda: served.page.visitors == 2, "two pages are open")
+    served.session.go_to((2.0, 0.0, 0.0))
+    wait_until(lambda: len(served.session.snapshot.placed_side) >= 2, "two steps")
+    if parting != "sleep":
+        getattr(goes, parting)()
+        wait_until(lambda: served.page.visitors == 1, "one page is gone")
+    before = stays.heard["SetPositionMessage"]
+    wait_until(lambda: served.session.snapshot.status == "reached", "the robot is there")
+    wait_until(lambda: stays.heard["SetPositionMessage"] > before, "the other page sees it walk")
+    stays.close()
+    goes.vanish()
+    wait_until(lambda: served.page.visitors == 0, "nobody is left")
+
+
+def test_the_camera_follows_on_the_page_that_wants_it_alone(served):
+    served.live()
+    follows, stays = Watcher(served.server.url), Watcher(served.server.url)
+    wait_until(lambda: served.page.visitors == 2, "two pages are open")
+    kind = "SetCameraPositionMessage"
+    wait_until(lambda: follows.heard[kind] and stays.heard[kind], "both look at the map")
+    time.sleep(0.2)
+    before = stays.heard[kind]
+    served.page._cameras.toggle(min(served.server.get_clients()))
+    served.session.go_to((2.0, 0.0, 0.0))
+    wait_until(lambda: served.session.snapshot.status == "reached", "the robot is there")
+    first, second = follows.heard[kind], stays.heard[kind]
+    assert sorted((first > before + 20, second > before + 20)) == [False, True]
+    assert min(first, second) == before
+    follows.close()
+    stays.close()
+
+
+def shown_walk(page: Page, start: Snapshot, frames: int, rng: np.random.Generator) -> None:
+    """Draws so many moments of made-up walks, with everything changing all the time."""
+    count = 40
+    side = np.arange(count, dtype=np.int8) % 2
+    for frame in range(frames):
+        pose = np.column_stack([rng.uniform(-1, 3, (count, 2)), np.zeros((count, 2))])
+        plan = FootstepPlan(
+            start_feet_world=pose[:2],
+            start=(0, 0, 0),
+            goal=(1, 0, 0),
+            side=side,
+            pose_world=pose,
+        )
+        qpos = start.qpos.copy()
+        qpos[:2] = pose[0, :2]
+        done = frame % count
+        page.show(
+            replace(
+                start,
+                qpos=qpos,
+                time_s=frame / 30,
+                goal=tuple(pose[-1, :3]),
+                plan=plan,
+                done=done,
+                placed_side=side[:done],
+                placed_world=pose[:done],
+                foot_error_m=np.abs(pose[:done, 0]) / 100,
+                path_world=pose[:done, :2],
+                replans=frame,
+                answer_s=frame / 1000,
+                notice=Notice(text=f"notice {frame}", offer=(0, 0, 0)) if frame % 3 else None,
+            )
+        )
+
+
+def test_an_hour_of_news_is_kept_in_the_room_of_a_minute(served):
+    served.page.text_every_s = served.page.plot_every_s = 0.0
+    rng = np.random.default_rng(0)
+    shown_walk(served.page, served.session.snapshot, 100, rng)
+    before = served.kept
+    assert min(before) > 10
+    shown_walk(served.page, served.session.snapshot, 500, rng)
+    assert served.kept == before
+
+
+def test_boxes_and_pages_that_come_and_go_leave_nothing_behind(served):
+    def come_and_go() -> None:
+        watcher = Watcher(served.server.url)
+        wait_until(lambda: served.page.visitors == 1, "the page is open")
+        for place in range(5):
+            served.page.toybox.add((1.0 + place / 2, 1.0), (0.3, 0.3))
+        served.page.toybox.clear()
+        watcher.vanish()
+        wait_until(lambda: served.page.visitors == 0, "the page is gone")
+
+    come_and_go()
+    before = served.kept
+    for _ in range(5):
+        come_and_go()
+    assert served.kept == before
+    assert served.server._websock_server._client_state_from_id == {}
