@@ -56,6 +56,21 @@ class Planner:
         # How the last search went, if the options ask for that: expanded cells in the world.
         self.record: SearchRecord | None = None
 
+    def take_map(self, grid: OccupancyGrid) -> None:
+        """Plans over a changed map from now on; what is known where both agree is kept."""
+        old, self.grid = self.grid, grid
+        self._terrain = terrain_of(grid, self.options.unknown_is_free)
+        if self._toward is None:
+            return
+        goal, toward = self._toward
+        is_alike = (
+            old.cells.shape == grid.cells.shape
+            and old.resolution_m == grid.resolution_m
+            and old.origin == grid.origin
+            and toward.space.terrain.is_flat == self._terrain.is_flat
+        )
+        self._toward = (goal, toward.over(self._terrain)) if is_alike else None
+
     def plan(
         self,
         *,

@@ -85,12 +85,14 @@ class Run:
         self.began = began
         self.time_to_first_s = 0.0
         self.least_um = 0
+        self.open_um = 0  # no open state's cost and heuristic is less
         self.proven = math.inf
         self.first_expansions = 0
         self.verdict = Verdict.OPEN
         self.task: Task
         self.tree: Tree
         self._quick: QuickPath | None = None
+        self._spent = 0  # expansions before the search proper
         self._flood: Flood | None = None
         self._flood_turn = _FLOOD_TURN
         self._moments: list[tuple[float, float, float]] = []
@@ -98,10 +100,18 @@ class Run:
     def take(self, quick: QuickPath) -> None:
         """Takes over a plan that was found before the search proper."""
         self._quick = quick
-        self.time_to_first_s = time.perf_counter() - self.began
-        self.proven = quick.cost_um / min(quick.cost_um, max(quick.least_um, 1))
-        self.least_um = quick.least_um
-        self._note_moment(quick.cost_um)
+        self.begin_with(quick.cost_um, quick.least_um, quick.expansions)
+
+    def begin_with(self, cost_um: int, least_um: int, expansions: int) -> None:
+        """Takes into account that there is a plan of this cost; NO_COST if there is none.
+
+        least_um: what any plan costs at least. expansions: how many it took to know that.
+        """
+        self._spent, self.least_um = expansions, least_um
+        if cost_um < search.NO_COST:
+            self.time_to_first_s = time.perf_counter() - self.began
+            self.proven = cost_um / min(cost_um, max(least_um, 1))
+            self._note_moment(cost_um)
 
     def quick_plan(self) -> Result:
         """The plan that was taken over."""
@@ -199,14 +209,12 @@ class Run:
 
     @property
     def _expansions(self) -> int:
-        quick = 0 if self._quick is None else self._quick.expansions
-        return quick + int(self.tree.scalars[search.EXPANSIONS])
+        return self._spent + int(self.tree.scalars[search.EXPANSIONS])
 
     def _round(self, epsilon: float) -> bool:
         """One search with a weight; whether another one may follow."""
         space, heuristic = self.task.space, self.task.heuristic
-        self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
-        self._note_bound()
+        self._begin_round(epsilon)
         self._note_moment(self._best_um)
         if self.proven <= self.options.final_epsilon:
             return False
@@ -227,6 +235,7 @@ class Run:
             elif outcome in (search.FINISHED, search.EXHAUSTED):
                 if self._best_um < search.NO_COST and epsilon == 1.0:
                     self.proven = 1.0
+                    self.open_um = max(self.open_um, self._best_um)
                 return self._best_um < search.NO_COST and self.proven > self.options.final_epsilon
             if self._limit_reached() or self._improved_enough() or self._is_enclosed():
                 return False
@@ -251,12 +260,13 @@ class Run:
     def _tighten_bound(self) -> None:
         """Takes over what the open states prove now that the search stopped in mid-round."""
         if self.proven > 1.0:
-            space, heuristic = self.task.space, self.task.heuristic
-            self.least_um = int(search.begin_round(space, heuristic, self.tree, 1.0))
-            self._note_bound()
+            self._begin_round(1.0)
 
-    def _note_bound(self) -> None:
-        """Takes over what the least g + h of all open states proves."""
+    def _begin_round(self, epsilon: float) -> None:
+        """Orders the open states anew, and takes over what the least g + h of all proves."""
+        space, heuristic = self.task.space, self.task.heuristic
+        self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
+        self.open_um = max(self.open_um, self.least_um)
         best = self._best_um
         if best < search.NO_COST:
             self.proven = min(self.proven, best / min(best, max(self.least_um, 1)))

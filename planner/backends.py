@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from planner.adstar import plan_adstar
 from planner.ara import plan_ara, plan_astar, plan_backward
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.request import Request, Result
@@ -18,4 +19,9 @@ def backend(name: str) -> Backend:
         from planner.sampling import plan_by_sampling
 
         return plan_by_sampling
-    return {"ara": plan_ara, "astar": plan_astar, "backward": plan_backward}[name]
+    return {
+        "ara": plan_ara,
+        "astar": plan_astar,
+        "backward": plan_backward,
+        "adstar": plan_adstar,
+    }[name]

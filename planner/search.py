@@ -42,7 +42,7 @@ BUCKETS = 1 << 13
 FROM_START = 0  # marks a root; node 0 lies on the rim, so it never is a predecessor
 
 # Entries of Tree.scalars
-USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, LEAST_UM = range(9)
+USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, SLACK_UM = range(9)
 SCALARS = 9
 
 # What `expand` returns
@@ -79,6 +79,8 @@ class Tree(NamedTuple):
     number of the search that expanded the node. entry_node, entry_next: stacks of the buckets;
     head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
     plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
+    scalars[SLACK_UM]: states are kept that cost up to so much more than the best plan; 0 for a tree
+    that is not used again.
     """
 
     steps: NDArray[np.int64]
@@ -124,16 +126,26 @@ def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
 
 
 @njit(cache=True)
+def estimates(space: Space, heuristic: Heuristic, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """`estimate` of nodes (n,)."""
+    values_um = np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        values_um[i] = estimate(space, heuristic, nodes[i])
+    return values_um
+
+
+@njit(cache=True)
 def _push(tree: Tree, node: int, key_um: int) -> None:
     scalars = tree.scalars
     bucket = (key_um - scalars[BASE_UM]) >> scalars[SHIFT]
     bucket = min(max(bucket, 0), BUCKETS - 1)
     scalars[CURSOR] = min(scalars[CURSOR], bucket)
-    _put(tree, node, bucket)
+    put(tree, node, bucket)
 
 
 @njit(cache=True)
-def _put(tree: Tree, node: int, bucket: int) -> None:
+def put(tree: Tree, node: int, bucket: int) -> None:
+    """Adds an entry for a node to a bucket; there must be room for it."""
     entry = tree.scalars[USED]
     tree.entry_node[entry] = node
     tree.entry_next[entry] = tree.head[bucket]
@@ -142,13 +154,7 @@ def _put(tree: Tree, node: int, bucket: int) -> None:
 
 
 @njit(cache=True)
-def seed(
-    space: Space,
-    heuristic: Heuristic,
-    tree: Tree,
-    nodes: NDArray[np.int64],
-    costs_um: NDArray[np.int64],
-) -> None:
+def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> None:
     """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
     for i in range(len(nodes)):
         node, cost = nodes[i], costs_um[i]
@@ -156,7 +162,7 @@ def seed(
         if old == 0 or cost < old:
             tree.cost_um[node] = cost
             tree.before[node] = FROM_START
-            _put(tree, node, BUCKETS)
+            put(tree, node, BUCKETS)
             _offer(tree, node, cost)
 
 
@@ -175,6 +181,12 @@ def _offer(tree: Tree, node: int, cost_um: int) -> bool:
 
 
 @njit(cache=True)
+def _limit_um(scalars: NDArray[np.int64]) -> int:
+    """What a state's cost and heuristic must stay below for the state to be kept."""
+    return min(scalars[BEST_UM] + scalars[SLACK_UM], NO_COST)
+
+
+@njit(cache=True)
 def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
     """Moves OPEN and INCONS into fresh buckets for a weight epsilon.
 
@@ -183,6 +195,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     scalars = tree.scalars
     scalars[ROUND] += 1
     queued = 128 + scalars[ROUND]
+    limit_um = _limit_um(scalars)
     nodes = np.empty(scalars[USED], np.int64)
     number = 0
     for bucket in range(BUCKETS + 1):
@@ -194,7 +207,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
             stale = bucket < BUCKETS and tree.round[node] == scalars[ROUND] - 1
             if stale or tree.round[node] == queued:
                 continue
-            if tree.cost_um[node] + estimate(space, heuristic, node) >= scalars[BEST_UM]:
+            if tree.cost_um[node] + estimate(space, heuristic, node) >= limit_um:
                 continue
             tree.round[node] = queued
             nodes[number] = node
@@ -210,7 +223,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
         high = max(high, cost + int(epsilon * value))
     # Inflated keys fall on the way to the goal; with epsilon 1 they never do.
     scalars[BASE_UM] = low if epsilon == 1.0 else 0
-    span = min(scalars[BEST_UM], high + 8_000_000) - scalars[BASE_UM]
+    span = min(limit_um, high + 8_000_000) - scalars[BASE_UM]
     scalars[SHIFT] = 0
     while (span >> scalars[SHIFT]) >= BUCKETS - 1:
         scalars[SHIFT] += 1
@@ -281,7 +294,7 @@ def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> No
             value = estimate(space, heuristic, nodes[i])
             _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * value))
     for i in range(ends[2] - 1, ends[1] - 1, -1):
-        _put(tree, nodes[i], BUCKETS)
+        put(tree, nodes[i], BUCKETS)
 
 
 @njit(cache=True)
@@ -305,7 +318,7 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
     near_col = cell % space.cols - space.origin_col + reach
     near_row = cell // space.cols - space.origin_row + reach
     uneven = len(space.node_um) > 0
-    improved = False
+    improved, limit_um = False, _limit_um(scalars)
     for k in range(steps.shape[1]):
         if steps[row, k, COST_UM] == 0:
             continue
@@ -330,12 +343,12 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
             value = max(value, endgame_um[up, col, to_row])
         else:
             value = max(value, heuristic.cap_um)
-        if cost + value >= scalars[BEST_UM]:
+        if cost + value >= limit_um:
             continue
         value = max(
             value, exit_bound(detour_um, turn_um, path_um, frontier_um, rim, circle, body, to_row)
         )
-        if cost + value >= scalars[BEST_UM]:
+        if cost + value >= limit_um:
             continue
         half = half_base + steps[row, k, D_HALF]
         clearance_m = half_clear_m[half] - 1.0
@@ -349,18 +362,19 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
                 continue
         if clearance_m < space.clearance[0]:
             cost += clearance_cost(space, clearance_m)
-            if (old != 0 and cost >= old) or cost + value >= scalars[BEST_UM]:
+            if (old != 0 and cost >= old) or cost + value >= limit_um:
                 continue
         cost_um[to] = cost
         tree.before[to] = node
-        improved |= _offer(tree, to, cost)
+        if _offer(tree, to, cost):
+            improved, limit_um = True, _limit_um(scalars)
         if rounds[to] != round_now:
             _push(tree, to, cost + int(epsilon * value))
         elif epsilon == 1.0:
             rounds[to] = 0
             _push(tree, to, cost + value)
         else:
-            _put(tree, to, BUCKETS)
+            put(tree, to, BUCKETS)
     return improved
 
 

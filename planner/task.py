@@ -14,6 +14,8 @@ from planner.search import Heuristic, Tree
 from planner.space import Int64s, Space, node_free, turned_round
 from planner.toward import body_cells_of
 
+_ENTRIES = 1 << 16  # at first; a search that needs more doubles them
+
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
@@ -33,25 +35,9 @@ class Task:
 
     def tree(self) -> Tree:
         """A fresh tree with the roots in it."""
-        space = self.space
-        nodes = space.cols * space.rows * space.headings * 2
-        scalars = np.zeros(search.SCALARS, np.int64)
-        scalars[search.BEST_UM] = search.NO_COST
-        entries = (1 << 16) + len(self.roots)
-        tree = Tree(
-            steps=self.steps,
-            is_backward=self.is_backward,
-            cost_um=np.zeros(nodes, np.int32),
-            before=np.zeros(nodes, np.int32),
-            round=np.zeros(nodes, np.uint8),
-            entry_node=np.empty(entries, np.int32),
-            entry_next=np.empty(entries, np.int32),
-            head=np.full(search.BUCKETS + 1, -1, np.int32),
-            goals=self.goals,
-            goal_um=self.goal_um,
-            scalars=scalars,
-        )
-        search.seed(space, self.heuristic, tree, self.roots, self.root_um)
+        tree = new_tree(self.space, self.steps, self.is_backward)
+        tree = tree._replace(goals=self.goals, goal_um=self.goal_um)
+        search.seed(tree, self.roots, self.root_um)
         return tree
 
     @property
@@ -64,6 +50,26 @@ class Task:
     def in_order(self, path: list[int]) -> Int64s:
         """Nodes of a path from a root to a goal in the order of the steps."""
         return np.array(path[::-1] if self.is_backward else path, np.int64)
+
+
+def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
+    """A tree with neither roots nor goals."""
+    nodes = space.cols * space.rows * space.headings * 2
+    scalars = np.zeros(search.SCALARS, np.int64)
+    scalars[search.BEST_UM] = search.NO_COST
+    return Tree(
+        steps=steps,
+        is_backward=is_backward,
+        cost_um=np.zeros(nodes, np.int32),
+        before=np.zeros(nodes, np.int32),
+        round=np.zeros(nodes, np.uint8),
+        entry_node=np.empty(_ENTRIES, np.int32),
+        entry_next=np.empty(_ENTRIES, np.int32),
+        head=np.full(search.BUCKETS + 1, -1, np.int32),
+        goals=np.zeros(1, np.int64),  # a node of the rim, where no step leads
+        goal_um=np.zeros(1, np.int64),
+        scalars=scalars,
+    )
 
 
 def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from planner.body_path import search_body_path
+from planner.change import change_between, over
+from planner.collision import Terrain
 from planner.exits import SECTORS
 from planner.guide import Potential
 from planner.model import StepModel
@@ -21,7 +23,8 @@ from planner.tables import Tables
 class Toward:
     """The lattice laid out from a goal, and what is known of the way to it.
 
-    memory: what a search that is asked again and again keeps for itself, by its name.
+    memory: what a search that is asked again and again keeps for itself, by its name; it has a
+    method mend(space, change) for changes of the map.
     """
 
     space: Space
@@ -46,6 +49,16 @@ class Toward:
             exits.rim,
             exits.radius_cells,
         )
+
+    def over(self, terrain: Terrain) -> Toward:
+        """The same over a changed terrain of the same size; takes this one's arrays for its own."""
+        change = change_between(self.space, self.space.terrain, terrain)
+        if change is None:
+            return self
+        space = over(self.space, terrain, change)
+        for kept in self.memory.values():
+            kept.mend(space, change)
+        return Toward(space=space, model=self.model, tables=self.tables, memory=self.memory)
 
     @cached_property
     def body_cell(self) -> Int64s:

@@ -1,0 +1,181 @@
+"""Plans from a kept tree: as good as fresh ones after any steps and any changes of the map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maps.grid import Cell
+from planner.api import Planner, plan_footsteps
+from planner.graft import step_um
+from planner.model import Side
+from planner.options import PlannerOptions
+from planner.plan import PlanStatus, pair_pose
+from planner.search import FROM_START
+from planner.verify import violations
+from tests.planner_oracle import Oracle, small_model
+from tests.test_planner_search import CASES, walled
+
+KEPT = PlannerOptions(name="adstar")
+PROVEN = replace(KEPT, improve_expansions=None)
+MODELS = {
+    "plain": small_model(),
+    "shy": small_model(clearance_m=0.3, clearance_cost_m=0.2, body_margin_m=0.02),
+}
+
+
+def optimum(grid, model, **query):
+    """A plan of a fresh search that is proven to be the cheapest."""
+    return plan_footsteps(grid, model, options=PlannerOptions(name="astar"), **query)
+
+
+def assert_right(plan, best, grid, model):
+    """The plan holds on the map, and costs no more than it says."""
+    assert plan.found == best.found, (plan.reason, best.reason)
+    if plan.found:
+        assert violations(plan, grid, model, stood_freely=False) == []
+        assert best.cost_m - 2e-6 <= plan.cost_m <= plan.epsilon * best.cost_m + 2e-6
+
+
+def after_a_step(plan, rng):
+    """Feet and next side when the robot has made the plan's first step, off by a little."""
+    feet, side = np.array(plan.start_feet_world), Side(int(plan.side[0]))
+    feet[side] = plan.pose_world[0] + rng.uniform(-1, 1, 4) * (0.03, 0.03, 0.0, 0.05)
+    return feet, side.other
+
+
+def changed(grid, rng, at, frees):
+    """The map with a block put somewhere near a pose or all blocks of a part taken away."""
+    cells = np.array(grid.cells)
+    if not frees:
+        row, col = (np.array(at[1::-1]) / grid.resolution_m + rng.integers(-9, 9, 2)).astype(int)
+        row, col = max(row, 0), max(col, 0)
+        cells[row : row + rng.integers(1, 4), col : col + rng.integers(1, 4)] = Cell.OCCUPIED
+    else:
+        row, col = rng.integers(0, 12, 2)
+        cells[row : row + 12, col : col + 12] = Cell.FREE
+    return grid.with_cells(cells)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+@pytest.mark.parametrize("options", [KEPT, PROVEN], ids=["kept", "proven"])
+@pytest.mark.parametrize("seed", range(3))
+def test_after_any_steps_and_changes_the_plan_is_right_and_the_bound_true(seed, options, model):
+    rng = np.random.default_rng(seed)
+    goal = (1.8, 1.7, 0.4)
+    grid = walled(boxes=((0, 11, 12, 12), (17, 5, 18, 9)))
+    planner = Planner(grid, model, options)
+    plan = planner.plan(start=(0.55, 0.6, 0.3), goal=goal)
+    assert plan.found
+    feet, side, found = np.array(plan.start_feet_world), None, 0
+    for _ in range(12):
+        if plan.found and len(plan) > 2 and rng.random() < 0.6:
+            feet, side = after_a_step(plan, rng)
+        else:
+            grid = changed(grid, rng, pair_pose(feet), not plan.found or rng.random() < 0.4)
+            planner.take_map(grid)
+        query: dict[str, Any] = {"start_feet_world": feet, "first_side": side, "goal": goal}
+        plan, best = planner.plan(**query), optimum(grid, model, **query)
+        assert_right(plan, best, grid, model)
+        if plan.found and options is PROVEN:
+            assert plan.cost_m == pytest.approx(best.cost_m, abs=2e-6)
+            assert plan.epsilon == 1.0
+        found += plan.found
+    assert found > 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_kept_of_a_tree_is_what_the_changed_map_allows(seed):
+    rng = np.random.default_rng(seed)
+    model, goal = MODELS["shy"], (1.8, 1.7, 0.4)
+    grid = walled(boxes=((0, 11, 12, 12), (17, 5, 18, 9)))
+    planner = Planner(grid, model, PROVEN)
+    assert planner.plan(start=(0.55, 0.6, 0.3), goal=goal).found
+    for _ in range(4):
+        grid = changed(grid, rng, (1.0, 1.0, 0.0), rng.random() < 0.5)
+        planner.take_map(grid)
+        assert planner._toward is not None
+        toward = planner._toward[1]
+        tree = toward.memory["adstar"].tree
+        known = np.flatnonzero(tree.cost_um)
+        assert len(known) > 50
+        for node in known:
+            before = int(tree.before[node])
+            if before != FROM_START:
+                step = step_um(toward.space, tree, before, int(node))
+                assert step > 0
+                assert tree.cost_um[node] >= tree.cost_um[before] + step
+
+
+def test_a_kept_plan_is_the_oracles_optimum_when_a_door_shuts_and_opens():
+    model = small_model()
+    _, start, goal = CASES["wall"]
+    # A wall with a way around its upper end, and a door that is open at first.
+    shut = walled(boxes=((0, 11, 15, 12),))
+    grids = walled(boxes=((0, 11, 4, 12), (10, 11, 15, 12))), shut
+    planner = Planner(grids[0], model, PROVEN)
+    costs_m = []
+    for turn in range(4):
+        grid = grids[turn % 2]
+        planner.take_map(grid)
+        plan = planner.plan(start=start, goal=goal)
+        assert violations(plan, grid, model) == []
+        assert plan.cost_m == pytest.approx(Oracle(grid, model, goal).best_cost(start), abs=1e-5)
+        costs_m.append(plan.cost_m)
+    assert costs_m[1] > costs_m[0] + 0.3
+    assert costs_m[:2] == costs_m[2:]
+
+
+def test_a_robot_that_walks_its_plan_needs_no_search():
+    grid, start, goal = CASES["wall"]
+    model, rng = small_model(), np.random.default_rng(1)
+    planner = Planner(grid, model, KEPT)
+    plan = planner.plan(start=start, goal=goal)
+    expansions, replans = 0, 0
+    while len(plan) > 2:
+        feet, side = after_a_step(plan, rng)
+        plan = planner.plan(start_feet_world=feet, first_side=side, goal=goal)
+        assert plan.found
+        assert plan.epsilon <= KEPT.epsilon
+        expansions, replans = expansions + plan.expansions, replans + 1
+    assert replans > 5
+    assert expansions < 20 * replans
+
+
+def test_another_goal_begins_anew_and_the_old_one_again():
+    grid, start, goal = CASES["wall"]
+    model = small_model()
+    planner = Planner(grid, model, PROVEN)
+    for there in (goal, (0.6, 1.8, 0.0), goal):
+        plan = planner.plan(start=start, goal=there)
+        assert plan.epsilon == 1.0
+        best = optimum(grid, model, start=start, goal=there)
+        assert plan.cost_m == pytest.approx(best.cost_m, abs=2e-6)
+
+
+@pytest.mark.parametrize("name", ["ara", "astar", "backward", "adstar"])
+def test_every_search_plans_over_a_changed_map_as_over_a_new_one(name):
+    grid, start, goal = CASES["wall"]
+    model, options = small_model(), PlannerOptions(name=name, improve_expansions=None)
+    planner = Planner(walled(), model, options)
+    for floor in (walled(), grid, walled(boxes=((14, 0, 15, 24),)), walled(30, 30)):
+        planner.take_map(floor)
+        plan = planner.plan(start=start, goal=goal)
+        fresh = plan_footsteps(floor, model, start=start, goal=goal, options=options)
+        assert (plan.status, plan.epsilon) == (fresh.status, fresh.epsilon)
+        assert plan.cost_m == pytest.approx(fresh.cost_m, abs=2e-6)
+
+
+def test_a_goal_that_is_blocked_for_a_while_is_planned_to_again():
+    grid, start, goal = CASES["empty"]
+    model = small_model()
+    planner = Planner(grid, model, PROVEN)
+    before = planner.plan(start=start, goal=goal)
+    row, col = int(goal[1] / 0.1), int(goal[0] / 0.1)
+    planner.take_map(walled(boxes=((row, col, row + 1, col + 1),)))
+    assert planner.plan(start=start, goal=goal).status is PlanStatus.GOAL_BLOCKED
+    planner.take_map(grid)
+    assert planner.plan(start=start, goal=goal).cost_m == before.cost_m
