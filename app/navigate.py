@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
-from app.errors import as_bad_input
+from app.errors import InputError, as_bad_input
 from app.inputs import find_follower, read_grid
 from app.navigate_options import NavigateOptions
-from app.navigator import Navigator, NavigatorConfig, scene_of
-from app.options import Pose
+from app.navigator import (
+    GOAL_TOLERANCE_M,
+    GOAL_TOLERANCE_RAD,
+    Navigator,
+    NavigatorConfig,
+    scene_of,
+)
+from app.options import Pose, Reach
 from app.output import PICTURE_ENDINGS, make_folder, require_writable, write_text
 from app.path_picture import write_path_picture
 from app.progress import ProgressBar, say
@@ -30,6 +37,7 @@ from sim.robot import Robot
 def run(options: NavigateOptions) -> int:
     """Carries the command out; returns the exit code."""
     started = time.perf_counter()
+    _require_reachable(options)
     grid, robot = read_grid(options), find_follower(options.robot, options.policy)
     policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
     with as_bad_input(PolicyError):
@@ -120,6 +128,17 @@ def report_of(
 def clearance_m(navigator: Navigator) -> float | None:
     """The least distance of the robot from a wall over the whole walk; None without walls."""
     return min_clearance_m(navigator.scene, np.array(navigator.qpos[::4]))
+
+
+def _require_reachable(options: NavigateOptions) -> None:
+    """A plan may end only where the robot, whose feet land a little off, still is at the goal."""
+    most = Reach(GOAL_TOLERANCE_M / 2, GOAL_TOLERANCE_RAD / 2)
+    if options.goal_tolerance.m > most.m or options.goal_tolerance.rad > most.rad:
+        asked = ",".join(f"{value:g}" for value in options.goal_tolerance)
+        raise InputError(
+            f"--goal-tolerance {asked} is more than {most.m:g},{most.rad:.2g}: a goal is reached "
+            f"within {GOAL_TOLERANCE_M:g} m and {math.degrees(GOAL_TOLERANCE_RAD):g} degrees"
+        )
 
 
 def _check_outputs(options: NavigateOptions) -> None:

@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Annotated
 
 from app.inputs import MapOptions, PlannerName, RobotName
-from app.options import FolderOption, OptionalFile, Pose, PoseOption, whole_number
+from app.options import (
+    FolderOption,
+    OptionalFile,
+    Pose,
+    PoseOption,
+    Reach,
+    ReachOption,
+    whole_number,
+)
 from app.progress import say
 from planner.options import PlannerOptions
 from sim.gl import NoGlError, prepare_gl, switch_gl_off
@@ -28,6 +36,9 @@ class NavigateOptions(MapOptions):
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
     """Where the robot stands at first, such as -1,2,0."""
+
+    goal_tolerance: ReachOption = Reach(0.0, 0.0)
+    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.05,0.08."""
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
@@ -73,6 +84,8 @@ class NavigateOptions(MapOptions):
             refine=self.refine,
             unknown_is_free=self.unknown_is_free,
             seed=self.seed,
+            goal_reach_m=self.goal_tolerance.m,
+            goal_reach_rad=self.goal_tolerance.rad,
         )
 
     @property

@@ -29,6 +29,31 @@ class Interval(NamedTuple):
     high: float
 
 
+class Reach(NamedTuple):
+    """How far from a pose another one may be: between the points, and between the headings."""
+
+    m: float
+    rad: float
+
+
+def parse_reach(text: str) -> Reach:
+    """The reach written as `M,RAD`, metres and radians.
+
+    Raises:
+        ValueError: Not two finite numbers of at least 0 with a comma between them.
+    """
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != 2 or not all(math.isfinite(value) and value >= 0 for value in values):
+        raise ValueError(
+            f"{text!r} is not a reach; write M,RAD in metres and radians, such as 0.05,0.1"
+        )
+    return Reach(*values)
+
+
 def parse_interval(text: str) -> Interval:
     """The interval written as `LOW,HIGH`.
 
@@ -145,7 +170,7 @@ def _show(value: object) -> list[str]:
     """A value as the help shows it and as it would be typed."""
     if value is None or value == ():
         return ["none"]
-    if isinstance(value, (Pose, Interval)):
+    if isinstance(value, (Pose, Interval, Reach)):
         return [",".join(f"{part:g}" for part in value)]
     if isinstance(value, tuple):
         return [",".join(map(str, value))]
@@ -170,6 +195,7 @@ PosesOption = Annotated[
 OptionalInterval = Annotated[
     Interval | None, _spec("LOW,HIGH", lambda words: parse_interval(words[0]))
 ]
+ReachOption = Annotated[Reach, _spec("M,RAD", lambda words: parse_reach(words[0]))]
 OptionalLength = Annotated[float | None, number(above=0)]
 OptionalTime = Annotated[float | None, number(above=0)]
 FileOption = Annotated[Path, _spec("FILE", lambda words: Path(words[0]))]

@@ -15,6 +15,8 @@ from app.options import (
     Pose,
     PoseOption,
     PosesOption,
+    Reach,
+    ReachOption,
     number,
     whole_number,
 )
@@ -42,6 +44,9 @@ class PlanOptions(MapOptions):
 
     via: PosesOption = ()
     """Poses to stand at on the way, with colons between, such as 1,0,0:2,0,1.57."""
+
+    goal_tolerance: ReachOption = Reach(0.0, 0.0)
+    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.1,0.2."""
 
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
@@ -152,6 +157,8 @@ def _search(options: PlanOptions) -> PlannerOptions:
         unknown_is_free=options.unknown_is_free,
         record=options.search_image is not None,
         seed=options.seed,
+        goal_reach_m=options.goal_tolerance.m,
+        goal_reach_rad=options.goal_tolerance.rad,
     )
 
 

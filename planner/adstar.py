@@ -11,16 +11,13 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 
-import numpy as np
-
 from planner import search
-from planner.ara import Run
+from planner.ara import Run, quick_plan
 from planner.kept import KeptTree
 from planner.options import PlannerOptions
-from planner.quick import quick_path
 from planner.request import Request, Result, first_nodes, found, no_first_step
 from planner.search import NO_COST
-from planner.space import Int64s
+from planner.task import least_toward_goal
 
 _NAME = "adstar"
 
@@ -40,7 +37,7 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
         wanted = options.final_epsilon
     view = kept.look(request, nodes, costs_um)
     if view.best_um == NO_COST:
-        quick = quick_path(request, nodes, costs_um, options)
+        quick = quick_plan(request, nodes, costs_um, options)
         if quick is not None:
             kept.graft(request.space, quick.nodes)
             expansions, least_um = quick.expansions, quick.least_um
@@ -49,7 +46,7 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     if view.best_um < NO_COST:
         if (is_first and options.stop_at_first) or view.best_um <= wanted * least_um:
             return _at_once(request, kept, least_um, expansions, began)
-        least_um = max(least_um, _least_toward_goal(request, nodes, costs_um))
+        least_um = max(least_um, least_toward_goal(request, nodes, costs_um))
         if view.best_um <= wanted * least_um:
             return _at_once(request, kept, least_um, expansions, began)
     run = Run(request, replace(options, final_epsilon=wanted), began)
@@ -72,8 +69,3 @@ def _at_once(
         expansions=expansions,
         time_to_first_s=time.perf_counter() - began,
     )
-
-
-def _least_toward_goal(request: Request, nodes: Int64s, costs_um: Int64s) -> int:
-    """What any plan costs at least by the heuristic toward the goal, from first steps (n,)."""
-    return int(np.min(costs_um + search.estimates(request.space, request.heuristic, nodes)))

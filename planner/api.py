@@ -15,9 +15,10 @@ from planner.collision import terrain_of
 from planner.endpoints import suggestion, what_blocks, what_obstructs
 from planner.ground import heights_below, resting_heights
 from planner.model import Side, StepModel
-from planner.options import PlannerOptions
+from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
 from planner.refine import refine
+from planner.region import Region
 from planner.request import Request, Result, SearchRecord
 from planner.space import build_space
 from planner.tables import tables_of
@@ -26,6 +27,7 @@ from planner.verify import violations
 
 FloatArray = NDArray[np.float64]
 _ALREADY_THERE_M = 1e-6
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +54,9 @@ class Planner:
         self.options = options or PlannerOptions()
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
         self._tables = tables_of(model)
+        reach = self.options.goal_reach_m, self.options.goal_reach_rad
+        # Planners of a path of the body know of no other end than the goal itself.
+        self._region = Region() if self.options.name in SAMPLING_PLANNERS else Region(*reach)
         self._toward: tuple[Pose, Toward] | None = None
         # How the last search went, if the options ask for that: expanded cells in the world.
         self.record: SearchRecord | None = None
@@ -145,10 +150,13 @@ class Planner:
             (PlanStatus.GOAL_BLOCKED, "goal", feet_goal, True),
         ):
             blocked = what_blocks(self.grid, self._terrain, self.model, feet, margins)
-            if blocked:
+            if blocked and not (name == "goal" and self._has_other_ends(query.goal)):
                 near = suggestion(self.grid, self._terrain, self.model, pair_pose(feet))
                 return status, f"{name}: {blocked}{near}"
         return None, ""
+
+    def _has_other_ends(self, goal: Pose) -> bool:
+        return not self._region.is_point and len(self._toward_goal(goal).ends) > 0
 
     def _feet_at(self, pose: ArrayLike) -> FloatArray:
         """Feet (2, 4) of a robot that stands at a pair pose, on the ground."""
@@ -162,20 +170,29 @@ class Planner:
         return query.stands and bool(what_obstructs(self.grid, self._terrain, self.model, feet))
 
     def _is_there(self, query: _Query) -> bool:
-        off = query.start_feet_world - feet_at(query.goal, self.model.stance_width_m)
+        """Whether the feet stand side by side at a pose that may be the end."""
+        pose, goal, region = query.start, query.goal, self._region
+        if (
+            math.dist(pose[:2], goal[:2]) > region.reach_m
+            or abs(wrap_angle(pose[2] - goal[2])) > region.reach_rad
+        ):
+            pose = goal
+        off = query.start_feet_world - feet_at(pose, self.model.stance_width_m)
         off[:, 3] = wrap_angle(off[:, 3])
         return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
 
+    def _toward_goal(self, goal: Pose) -> Toward:
+        """What searches to that goal share, kept until there is another."""
+        if self._toward is None or self._toward[0] != goal:
+            tables = self._tables
+            space = build_space(self.grid, self._terrain, self.model, tables.steps, goal)
+            toward = Toward(space=space, model=self.model, tables=tables, region=self._region)
+            self._toward = goal, toward
+        return self._toward[1]
+
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
-        if self._toward is None or self._toward[0] != query.goal:
-            steps = self._tables.steps
-            space = build_space(self.grid, self._terrain, self.model, steps, query.goal)
-            self._toward = (
-                query.goal,
-                Toward(space=space, model=self.model, tables=self._tables),
-            )
         request = Request(
-            toward=self._toward[1],
+            toward=self._toward_goal(query.goal),
             feet_lattice=_to_lattice(query.start_feet_world, query.goal),
             feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
             stands=self._stands_too_near(query),
@@ -226,7 +243,7 @@ class Planner:
         )
 
     def _poses_world(self, result: Result, goal: Pose) -> FloatArray:
-        """Poses (N, 4) in the world; the last two are the goal feet to the bit."""
+        """Poses (N, 4) in the world; the last two are the feet of a pair pose to the bit."""
         cos, sin = math.cos(goal[2]), math.sin(goal[2])
         x, y, yaw = result.pose_lattice.T
         poses = np.column_stack(
@@ -237,7 +254,9 @@ class Planner:
                 wrap_angle(goal[2] + yaw),
             ]
         )
-        feet = self._feet_at(goal)
+        end = pair_pose(poses[-2:])
+        is_goal = np.abs([*(end[:2] - goal[:2]), wrap_angle(end[2] - goal[2])]).max() < _ROUNDING
+        feet = self._feet_at(goal if is_goal else end)
         poses[-2:] = feet[result.side[-2:]]
         return poses
 

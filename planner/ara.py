@@ -7,7 +7,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner import search
 from planner.flood import Flood, Verdict, new_flood, spread
@@ -26,7 +25,7 @@ from planner.request import (
 )
 from planner.search import Tree
 from planner.space import Int64s
-from planner.task import Task, backward_task, forward_task
+from planner.task import Task, backward_task, forward_task, least_toward_goal
 
 _QUICK = -1  # in place of a node: the plan that was found before the search proper
 _BUDGET = 4096  # expansions between two looks at the clock
@@ -45,12 +44,26 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
     if not len(nodes):
         return no_first_step(request)
     run = Run(request, options, began)
-    quick = quick_path(request, nodes, costs_um, options)
+    quick = quick_plan(request, nodes, costs_um, options)
     if quick is not None:
         run.take(quick)
         if options.stop_at_first or run.proven <= options.final_epsilon:
-            return run.quick_plan()
+            return run.quick_result()
     return run.result(forward_task(request, nodes, costs_um))
+
+
+def quick_plan(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
+) -> QuickPath | None:
+    """A plan to the goal's own pose, if it is free, with a bound that holds for all that may be."""
+    toward = request.toward
+    if toward.region.is_point:
+        return quick_path(request, nodes, costs_um, options)
+    if not np.all(np.isin(toward.goal_nodes, toward.ends)):
+        return None
+    quick = quick_path(request, nodes, costs_um, options)
+    least_um = least_toward_goal(request, nodes, costs_um)
+    return None if quick is None else replace(quick, least_um=min(least_um, quick.cost_um))
 
 
 def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
@@ -113,7 +126,7 @@ class Run:
             self.proven = cost_um / min(cost_um, max(least_um, 1))
             self._note_moment(cost_um)
 
-    def quick_plan(self) -> Result:
+    def quick_result(self) -> Result:
         """The plan that was taken over."""
         assert self._quick is not None
         return self._found(self._quick.nodes, self._quick.cost_um, self._quick.expansions)
@@ -221,10 +234,7 @@ class Run:
         while True:
             outcome = search.expand(space, heuristic, self.tree, epsilon, self._budget())
             if outcome == search.OUT_OF_ENTRIES:
-                self.tree = self.tree._replace(
-                    entry_node=_doubled(self.tree.entry_node),
-                    entry_next=_doubled(self.tree.entry_next),
-                )
+                self.tree = search.with_more_entries(self.tree)
             elif outcome == search.IMPROVED:
                 self._note_moment(self._best_um)
                 if self.time_to_first_s == 0.0:
@@ -304,7 +314,3 @@ class Run:
 def _next_epsilon(epsilon: float) -> float:
     """The next weight: two fifths of what is above 1, and 1 itself once that is little."""
     return 1.0 + 0.4 * (epsilon - 1.0) if epsilon > 1.3 else 1.0
-
-
-def _doubled(array: NDArray[np.int32]) -> NDArray[np.int32]:
-    return np.concatenate([array, np.empty_like(array)])

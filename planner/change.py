@@ -67,6 +67,6 @@ def _sight_m(space: Space) -> float:
     hops = max(int(np.abs(space.steps[..., k]).max()) for k in (D_COL, D_ROW))
     hop_m = math.sqrt(2) * hops * space.cell_m
     body_m = math.hypot(*space.body) + 2 * space.half_stance_m
-    foot_m = math.hypot(*np.maximum(space.foot, space.tread)) + space.half_stance_m
+    foot_m = math.hypot(*np.maximum(space.foot, space.tread)) + 3 * space.half_stance_m
     swing_m = 0.0 if space.terrain.is_flat else space.swing_reach_m + 2 * space.half_stance_m
     return hop_m + max(body_m, foot_m, swing_m, space.clearance[0])

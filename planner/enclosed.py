@@ -23,7 +23,7 @@ def is_shut(request: Request) -> str:
 def how_enclosed(request: Request) -> str:
     """What floods of the lattice prove to enclose the start or the goal; empty if unknown."""
     space = request.space
-    flood = new_flood(space, first_nodes(request)[0], request.toward.goal_nodes)
+    flood = new_flood(space, first_nodes(request)[0], request.toward.ends)
     flood, verdict = spread(space, flood, _NODES)
     poses = int(flood.ends[1] + flood.ends[3])
     if verdict is Verdict.GOAL_ENCLOSED:

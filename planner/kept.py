@@ -24,7 +24,7 @@ from planner.lattice import final_cost_um
 from planner.mend import border, cut
 from planner.request import Request
 from planner.search import NO_COST, Heuristic
-from planner.space import Int64s, Space, node_free, turned_round
+from planner.space import Int64s, Space, turned_round
 from planner.task import Task, heuristic_toward_start, new_tree
 
 _MOST_ROUNDS = 100  # numbers of rounds are 7 bit
@@ -47,19 +47,11 @@ class KeptTree:
     """
 
     def __init__(self, request: Request) -> None:
-        self._goal_nodes = request.toward.goal_nodes
         self._final_um = final_cost_um(request.model)
         self.tree = new_tree(request.space, turned_round(request.space.steps), True)
         self.tree.scalars[search.SLACK_UM] = NO_COST
         self.heuristic: Heuristic | None = None
         self.open_um = 0
-        self.plant(request.space)
-
-    def plant(self, space: Space) -> None:
-        """Puts the goal feet into the tree, those that are free and not in it."""
-        feet = self._goal_nodes
-        roots = feet[[node_free(space, int(node)) for node in feet]]
-        search.seed(self.tree, roots, np.full(len(roots), self._final_um))
 
     def graft(self, space: Space, nodes: Int64s) -> None:
         """Takes the end of a plan (n,), its steps in their order, into the tree."""
@@ -68,6 +60,9 @@ class KeptTree:
 
     def look(self, request: Request, nodes: Int64s, costs_um: Int64s) -> View:
         """Turns to a start with these first steps (n,) and their costs."""
+        ends = request.toward.ends
+        self._make_room(len(ends))
+        search.seed(self.tree, ends, np.full(len(ends), self._final_um))
         order = np.argsort(nodes)
         tree = self.tree._replace(goals=nodes[order], goal_um=costs_um[order])
         self.tree = tree
@@ -101,8 +96,8 @@ class KeptTree:
             heuristic=self.heuristic,
             steps=tree.steps,
             is_backward=True,
-            roots=self._goal_nodes,
-            root_um=np.full(2, self._final_um),
+            roots=request.toward.ends,
+            root_um=np.full(len(request.toward.ends), self._final_um),
             goals=tree.goals,
             goal_um=tree.goal_um,
         )
@@ -116,7 +111,6 @@ class KeptTree:
         again = border(space, self.tree, removed, cells)
         self._make_room(len(again))
         reopen(self.tree, again)
-        self.plant(space)
         if change.frees:
             # Ways that the heuristic knows nothing of may be shorter than what it says.
             self.heuristic, self.open_um = None, 0
@@ -125,9 +119,5 @@ class KeptTree:
             self.open_um = min(self.open_um, int((self.tree.cost_um[again] + values_um).min()))
 
     def _make_room(self, entries: int) -> None:
-        tree = self.tree
-        if tree.scalars[search.USED] + entries > len(tree.entry_node):
-            self.tree = tree._replace(
-                entry_node=np.append(tree.entry_node, np.empty_like(tree.entry_node)),
-                entry_next=np.append(tree.entry_next, np.empty_like(tree.entry_next)),
-            )
+        while self.tree.scalars[search.USED] + entries > len(self.tree.entry_node):
+            self.tree = search.with_more_entries(self.tree)

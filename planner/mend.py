@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.graft import step_um
+from planner.region import may_end_at
 from planner.search import FROM_START, Tree
 from planner.space import COST_UM, D_NODE, Space, node_free
 
@@ -60,7 +61,7 @@ def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
     """
     before: int = np.int64(tree.before[node])  # type: ignore[assignment]
     if before == FROM_START:
-        return node_free(space, node)
+        return may_end_at(space, node)
     if tree.cost_um[before] == 0:
         return True
     cost = step_um(space, tree, before, node)

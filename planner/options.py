@@ -21,6 +21,8 @@ class PlannerOptions:
     clock on top of them; results then depend on the machine. stop_at_first: be content with the
     first plan. refine: move the plan's steps off the lattice to lower its cost. unknown_is_free:
     walk on cells that nobody has seen. seed: of the planners that draw at random.
+    goal_reach_m, goal_reach_rad: how far from the goal, and how far turned, plans may end; those of
+    `SAMPLING_PLANNERS` end at the goal itself.
     """
 
     name: str = "ara"
@@ -34,6 +36,8 @@ class PlannerOptions:
     unknown_is_free: bool = False
     record: bool = False
     seed: int = 0
+    goal_reach_m: float = 0.0
+    goal_reach_rad: float = 0.0
 
     def __post_init__(self) -> None:
         if self.name not in PLANNERS:
@@ -49,5 +53,9 @@ class PlannerOptions:
             raise ValueError(f"max_expansions {self.max_expansions} must be at least 1")
         if self.seed < 0:
             raise ValueError(f"seed {self.seed} must be at least 0")
+        for name in ("goal_reach_m", "goal_reach_rad"):
+            reach = getattr(self, name)
+            if not (math.isfinite(reach) and reach >= 0):
+                raise ValueError(f"{name} {reach} must be a finite number of at least 0")
         if self.time_limit_s is not None and not self.time_limit_s > 0:
             raise ValueError(f"time_limit_s {self.time_limit_s} must be above 0")

@@ -12,6 +12,7 @@ from planner.connect import first_steps
 from planner.lattice import MICRO, foot_position
 from planner.model import Side, StepModel
 from planner.plan import PlanStatus
+from planner.region import beside, height_beside
 from planner.search import Heuristic
 from planner.space import Space
 from planner.toward import Toward
@@ -131,9 +132,8 @@ def found(
     expansions: int,
     time_to_first_s: float,
 ) -> Result:
-    """The plan whose steps are the nodes (N - 1,) and then the other foot at the goal."""
-    space, model = request.space, request.model
-    nodes = np.append(nodes, request.toward.goal_nodes[1 - (int(nodes[-1]) & 1)])
+    """The plan whose steps are the nodes (N - 1,) and then the other foot beside the last."""
+    space, model, last = request.space, request.model, int(nodes[-1])
     side = (nodes & 1).astype(np.int8)
     heading = (nodes >> 1) % space.headings
     cell = (nodes >> 1) // space.headings
@@ -143,11 +143,13 @@ def found(
         [foot_position(c, r, s, model) for c, r, s in zip(col, row, side, strict=True)]
     )
     yaw_rad = heading * (2 * np.pi / space.headings)
+    poses = np.column_stack([position, yaw_rad])
+    height_um = space.node_um[nodes] if len(space.node_um) else np.zeros(len(nodes))
     return Result(
         status=PlanStatus.FOUND,
-        side=side,
-        pose_lattice=np.column_stack([position, yaw_rad]),
-        z_m=space.node_um[nodes] / MICRO if len(space.node_um) else np.zeros(len(nodes)),
+        side=np.append(side, 1 - side[-1]),
+        pose_lattice=np.vstack([poses, (*beside(space, last)[:2], yaw_rad[-1])]),
+        z_m=np.append(height_um, height_beside(space, last)) / MICRO,
         cost_m=cost_um / MICRO,
         epsilon=epsilon,
         expansions=expansions,

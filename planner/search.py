@@ -170,7 +170,7 @@ def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> N
 def _offer(tree: Tree, node: int, cost_um: int) -> bool:
     """Takes the node for the end of the plan if it is one of the goals and the best so far."""
     scalars, goals = tree.scalars, tree.goals
-    if node < goals[0] or node > goals[-1]:
+    if len(goals) == 0 or node < goals[0] or node > goals[-1]:
         return False
     index = np.searchsorted(goals, node)
     if goals[index] != node or cost_um + tree.goal_um[index] >= scalars[BEST_UM]:
@@ -376,6 +376,14 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
         else:
             put(tree, to, BUCKETS)
     return improved
+
+
+def with_more_entries(tree: Tree) -> Tree:
+    """The tree with room for twice as many entries."""
+    return tree._replace(
+        entry_node=np.append(tree.entry_node, np.empty_like(tree.entry_node)),
+        entry_next=np.append(tree.entry_next, np.empty_like(tree.entry_next)),
+    )
 
 
 def trace(tree: Tree, node: int) -> list[int]:

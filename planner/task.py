@@ -11,7 +11,7 @@ from planner.body_path import spread_from
 from planner.lattice import final_cost_um
 from planner.request import Request
 from planner.search import Heuristic, Tree
-from planner.space import Int64s, Space, node_free, turned_round
+from planner.space import Int64s, Space, turned_round
 from planner.toward import body_cells_of
 
 _ENTRIES = 1 << 16  # at first; a search that needs more doubles them
@@ -42,10 +42,10 @@ class Task:
 
     @property
     def may_connect(self) -> bool:
-        """Whether a path of the body leads to the goals from any of the roots."""
+        """Whether a path of the body leads from a root to the goals, if there are any."""
         rows = self.roots % (2 * self.space.headings)
         cells = self.roots // (2 * self.space.headings) + self.heuristic.body_cell[rows]
-        return bool(np.any(self.heuristic.cost_um[cells] > 0))
+        return len(self.goals) > 0 and bool(np.any(self.heuristic.cost_um[cells] > 0))
 
     def in_order(self, path: list[int]) -> Int64s:
         """Nodes of a path from a root to a goal in the order of the steps."""
@@ -74,6 +74,7 @@ def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
 
 def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
     """From the first steps (n,) with their costs to the goal feet."""
+    ends = request.toward.ends
     return Task(
         space=request.space,
         heuristic=request.heuristic,
@@ -81,15 +82,14 @@ def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
         is_backward=False,
         roots=nodes,
         root_um=costs_um,
-        goals=request.toward.goal_nodes,
-        goal_um=np.full(2, final_cost_um(request.model)),
+        goals=ends,
+        goal_um=np.full(len(ends), final_cost_um(request.model)),
     )
 
 
 def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
     """From the goal feet to the first steps (n,) with their costs."""
-    feet = request.toward.goal_nodes
-    roots = feet[[node_free(request.space, int(node)) for node in feet]]
+    roots = request.toward.ends
     order = np.argsort(nodes)
     return Task(
         space=request.space,
@@ -129,3 +129,8 @@ def heuristic_toward_start(request: Request, nodes: Int64s, costs_um: Int64s) ->
         np.zeros((0, 4), np.int64),
         request.space.cols + request.space.rows,  # no exit bound: all is within the circle
     )
+
+
+def least_toward_goal(request: Request, nodes: Int64s, costs_um: Int64s) -> int:
+    """What any plan costs at least by the heuristic toward the goal, from first steps (n,)."""
+    return int(np.min(costs_um + search.estimates(request.space, request.heuristic, nodes)))

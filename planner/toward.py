@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,9 +14,11 @@ from planner.collision import Terrain
 from planner.exits import SECTORS
 from planner.guide import Potential
 from planner.model import StepModel
+from planner.region import POINT, Region, ends_in
 from planner.search import Heuristic
 from planner.space import Int64s, Space
 from planner.tables import Tables
+from planner.toward_region import heuristic_toward_region
 
 
 @dataclass(kw_only=True)
@@ -24,18 +26,23 @@ class Toward:
     """The lattice laid out from a goal, and what is known of the way to it.
 
     memory: what a search that is asked again and again keeps for itself, by its name; it has a
-    method mend(space, change) for changes of the map.
+    method mend(space, change) for changes of the map. region: of the poses that plans may end in.
     """
 
     space: Space
     model: StepModel
     tables: Tables
     memory: dict[str, Any] = field(default_factory=dict)
+    region: Region = POINT
 
     @cached_property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal, good for any start."""
         space, exits = self.space, self.tables.exits
+        if not self.region.is_point and len(self.ends):
+            return heuristic_toward_region(
+                space, self.model, self.tables, self.body_cell, self.ends, self.region
+            )
         path = search_body_path(space, self.tables.potential, self.tables.endgame)
         return Heuristic(
             path.cost_um,
@@ -58,7 +65,7 @@ class Toward:
         space = over(self.space, terrain, change)
         for kept in self.memory.values():
             kept.mend(space, change)
-        return Toward(space=space, model=self.model, tables=self.tables, memory=self.memory)
+        return replace(self, space=space)
 
     @cached_property
     def body_cell(self) -> Int64s:
@@ -70,6 +77,11 @@ class Toward:
         """Nodes of the goal feet (2,), left then right."""
         origin = self.space.origin_row * self.space.cols + self.space.origin_col
         return np.arange(2) + origin * self.space.headings * 2
+
+    @cached_property
+    def ends(self) -> Int64s:
+        """Nodes (n,), in rising order, beside which the other foot may come last."""
+        return ends_in(self.space, self.region)
 
 
 def body_cells_from(potential: Potential, cols: int) -> Int64s:

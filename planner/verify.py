@@ -25,6 +25,7 @@ def violations(
     *,
     unknown_is_free: bool = False,
     stood_freely: bool = True,
+    goal_reach: tuple[float, float] = (0.0, 0.0),
 ) -> list[str]:
     """What is wrong with a plan that was found, one line each; empty if it is right.
 
@@ -34,11 +35,14 @@ def violations(
     which is level; rise and fall and the ground that a foot swings over are within the limits; the
     last two feet are those of the goal pose, exactly. stood_freely: the plan began at a pair pose,
     so the margins count in the first step too; false where it began from feet as they stood.
+    goal_reach: metres from the goal and radians off its heading at which both feet may stand, side
+    by side, in the end.
     """
     if not plan.found:
         return [f"status is {plan.status}, not found"]
     if not len(plan):
-        return [] if _feet_are_at_goal(plan, model) else ["empty, but the feet are not at the goal"]
+        there = _feet_are_at_goal(plan, model, goal_reach)
+        return [] if there else ["empty, but the feet are not at the goal"]
     checker = _Checker(grid, unknown_is_free)
     ground = Ground(grid, unknown_is_free)
     wrong: list[str] = []
@@ -54,18 +58,29 @@ def violations(
         ]
         wrong += [f"step {i}: {what}" for what in ground.step(support, pose, swing, model)]
         support = pose
-    if not _feet_are_at_goal(plan, model):
+    if not _feet_are_at_goal(plan, model, goal_reach):
         wrong.append("the last two feet are not the goal's")
     return wrong
 
 
-def _feet_are_at_goal(plan: FootstepPlan, model: StepModel) -> bool:
-    """Whether the feet end within a nanometre of the goal feet, worked out here once more."""
+def _feet_are_at_goal(
+    plan: FootstepPlan, model: StepModel, goal_reach: tuple[float, float]
+) -> bool:
+    """Whether the feet end within a nanometre of the goal feet, worked out here once more.
+
+    Of the goal's own, or of those of the pose where they are if that is near enough to the goal.
+    """
     feet = dict(zip((0, 1), plan.start_feet_world, strict=True))
     feet.update({int(s): p for s, p in zip(plan.side[-2:], plan.pose_world[-2:], strict=True)})
     if len(plan) == 1:
         return False
     x_m, y_m, yaw_rad = plan.goal
+    mid_m = (feet[0][:2] + feet[1][:2]) / 2
+    off_rad = abs(math.remainder(feet[0][3] - yaw_rad, 2 * math.pi))
+    if math.dist(mid_m, (x_m, y_m)) > goal_reach[0] + 1e-8 or off_rad > goal_reach[1] + 1e-8:
+        return False
+    if any(goal_reach):
+        x_m, y_m, yaw_rad = mid_m[0], mid_m[1], feet[0][3]
     reach = 1e-9 if len(plan) else 2e-6
     for side, sign in ((0, 1), (1, -1)):
         half = sign * model.stance_width_m / 2

@@ -93,21 +93,23 @@ def test_what_is_kept_of_a_tree_is_what_the_changed_map_allows(seed):
     model, goal = MODELS["shy"], (1.8, 1.7, 0.4)
     grid = walled(boxes=((0, 11, 12, 12), (17, 5, 18, 9)))
     planner = Planner(grid, model, PROVEN)
-    assert planner.plan(start=(0.55, 0.6, 0.3), goal=goal).found
-    for _ in range(4):
-        grid = changed(grid, rng, (1.0, 1.0, 0.0), rng.random() < 0.5)
+    kept = 0
+    for _ in range(5):
+        planner.plan(start=(0.55, 0.6, 0.3), goal=goal)
+        grid = changed(grid, rng, (0.5, 0.5, 0.0), rng.random() < 0.5)
         planner.take_map(grid)
         assert planner._toward is not None
         toward = planner._toward[1]
         tree = toward.memory["adstar"].tree
         known = np.flatnonzero(tree.cost_um)
-        assert len(known) > 50
+        kept += len(known)
         for node in known:
             before = int(tree.before[node])
             if before != FROM_START:
                 step = step_um(toward.space, tree, before, int(node))
                 assert step > 0
                 assert tree.cost_um[node] >= tree.cost_um[before] + step
+    assert kept > 500
 
 
 def test_a_kept_plan_is_the_oracles_optimum_when_a_door_shuts_and_opens():

@@ -230,7 +230,12 @@ def _work(pipe: Connection) -> None:
                 if isinstance(message, World):
                     if world is None:
                         _warm_up(message)
-                    world, planners = message, None
+                    if planners is not None and _differs_in_map_only(world, message):
+                        for planner in planners:
+                            planner.take_map(message.grid)
+                    else:
+                        planners = None
+                    world = message
                 else:
                     query = message
             assert world is not None
@@ -238,6 +243,11 @@ def _work(pipe: Connection) -> None:
             _answer(pipe, world, planners, query)
     except (EOFError, OSError, KeyboardInterrupt):
         return
+
+
+def _differs_in_map_only(world: World | None, other: World) -> bool:
+    """Whether planners over the one may go on over the other, with what they know."""
+    return world is not None and (world.model, world.options) == (other.model, other.options)
 
 
 def _warm_up(world: World) -> None:
