@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -38,6 +39,14 @@ _ITERATIONS = 12  # of one attempt; nearly all that succeed at all do so in fewe
 _LAST_ITERATIONS = 20
 _LEAST_TURN_COST_M = 0.2
 _PARTS = 10  # at first one step in so many is left out at once
+
+
+class _Chain(NamedTuple):
+    """Poses (N + 1, 3) as in `chain.py`, the sign of the first step's side, and the cost."""
+
+    poses: FloatArray
+    outward: float
+    cost_um: int
 
 
 def refine(request: Request, result: Result) -> Result:
@@ -65,7 +74,7 @@ def refine(request: Request, result: Result) -> Result:
     if before_um == NOT_ALLOWED:
         return result
     may_swap = request.first_side is None
-    found, outward, _ = _shorten(straight, poses, outward, before_um, may_swap)
+    found, outward, _ = _shorten(straight, _Chain(poses, outward, before_um), may_swap)
     found_um = chain_cost_um(rules, found, outward)
     if not 0 <= found_um < round(result.cost_m * MICRO):
         return result
@@ -88,13 +97,11 @@ def refine(request: Request, result: Result) -> Result:
 def _to_grid(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
     """Poses (n, 3) of the lattice frame in the grid frame."""
     x, y, cos, sin = frame
-    return np.column_stack(
-        [
-            x + cos * poses[:, 0] - sin * poses[:, 1],
-            y + sin * poses[:, 0] + cos * poses[:, 1],
-            poses[:, 2] + math.atan2(sin, cos),
-        ]
-    )
+    in_grid = np.empty(poses.shape)  # row by row: what is called is compiled for that order alone
+    in_grid[:, 0] = x + cos * poses[:, 0] - sin * poses[:, 1]
+    in_grid[:, 1] = y + sin * poses[:, 0] + cos * poses[:, 1]
+    in_grid[:, 2] = poses[:, 2] + math.atan2(sin, cos)
+    return in_grid
 
 
 def _to_lattice(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
@@ -105,46 +112,45 @@ def _to_lattice(poses: FloatArray, frame: tuple[float, float, float, float]) -> 
     return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, yaw])
 
 
-@njit(cache=True)
-def _shorten(
-    rules: Rules, poses: FloatArray, outward: float, cost_um: int, may_swap: bool
-) -> tuple[FloatArray, float, int]:
-    """The cheapest chain found from a chain (N + 1, 3) on, the sign of its first side, its cost."""
-    least, best, sign = cost_um, poses, outward
-    moved = np.empty_like(poses)
-    cost = relax(rules, poses.copy(), outward, _ITERATIONS, 0, moved)
-    if cost != NOT_ALLOWED and cost < least:
-        least, best = cost, moved
-    fewer = max(1, len(poses) // _PARTS)
+# Not compiled: it calls little, and would take longer to compile than all that it calls.
+def _shorten(rules: Rules, found: _Chain, may_swap: bool) -> _Chain:
+    """The cheapest chain found from a chain on."""
+    swaps = (False, True) if may_swap else (False,)
+    best = _moved(rules, found, len(found.poses) - 1, False, _ITERATIONS, 0)
+    fewer = max(1, len(found.poses) // _PARTS)
     while fewer > 0:
-        steps = len(best) - 1 - fewer
-        improved = False
-        for swap in range(2 if may_swap else 1):
-            if steps < 2 or improved:
-                continue
-            trial = _laid_out(rules, best, sign, steps, swap == 1)
-            moved = np.empty_like(trial)
-            trial_sign = -sign if swap == 1 else sign
-            cost = relax(rules, trial, trial_sign, _ITERATIONS, least, moved)
-            if cost != NOT_ALLOWED and cost < least:
-                least, best, sign, improved = cost, moved, trial_sign, True
-        if not improved:
+        before, steps = best, len(best.poses) - 1 - fewer
+        for swap in swaps:
+            if steps >= 2 and best is before:
+                best = _moved(rules, before, steps, swap, _ITERATIONS, before.cost_um)
+        if best is before:
             fewer = 1 if fewer > 1 else 0
-    for swap in range(2 if may_swap else 1):
-        trial = _laid_out(rules, best, sign, len(best) - 1, swap == 1) if swap == 1 else best.copy()
-        moved = np.empty_like(trial)
-        trial_sign = -sign if swap == 1 else sign
-        cost = relax(rules, trial, trial_sign, _LAST_ITERATIONS, 0, moved)
-        if cost != NOT_ALLOWED and cost < least:
-            least, best, sign = cost, moved, trial_sign
-    return best, sign, least
+    for swap in swaps:
+        best = _moved(rules, best, len(best.poses) - 1, swap, _LAST_ITERATIONS, 0)
+    return best
+
+
+def _moved(
+    rules: Rules, chain: _Chain, steps: int, swap: bool, iterations: int, enough_um: int
+) -> _Chain:
+    """A chain with so many steps along the way of another, or that one if it is no cheaper.
+
+    swap: the other foot goes first. iterations, enough_um: as in `relax`.
+    """
+    trial = _laid_out(rules.feet, chain.poses, chain.outward, steps, swap)
+    outward = -chain.outward if swap else chain.outward
+    best = np.empty_like(trial)
+    cost_um = relax(rules, trial, outward, iterations, enough_um, best)
+    if cost_um == NOT_ALLOWED or cost_um >= chain.cost_um:
+        return chain
+    return _Chain(best, outward, cost_um)
 
 
 @njit(cache=True)
 def _laid_out(
-    rules: Rules, poses: FloatArray, outward: float, steps: int, swap: bool
+    feet: FloatArray, poses: FloatArray, outward: float, steps: int, swap: bool
 ) -> FloatArray:
-    """Chain (steps + 1, 3) along the way of another (N + 1, 3).
+    """Chain (steps + 1, 3) along the way of another (N + 1, 3) that begins at feet (2, 3).
 
     Left and right feet each go along the line through their places in the old chain, at equal parts
     of its duration. swap: the other foot goes first.
@@ -160,14 +166,14 @@ def _laid_out(
             chain[i] = poses[old if old % 2 == parity else old - 1]
             continue
         # The foot that went first in the old chain stood at the start until then.
-        first = rules.feet[0 if outward > 0 else 1] if before < 0 else poses[before]
+        first = feet[0 if outward > 0 else 1] if before < 0 else poses[before]
         part = (at - before) / 2.0
         turn = turn_between(first[2], poses[before + 2, 2])
         chain[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
         chain[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
         chain[i, 2] = first[2] + part * turn
     if swap:
-        chain[0] = rules.feet[0 if outward > 0 else 1]
+        chain[0] = feet[0 if outward > 0 else 1]
     else:
         chain[0] = poses[0]
     return chain
