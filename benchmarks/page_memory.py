@@ -27,7 +27,7 @@ from benchmarks.page_watcher import Watcher
 from planner.options import PlannerOptions
 
 GOALS = ((1.5, 0.0, 0.0), (0.0, 0.0, 3.1))
-PATIENCE_S = 120.0
+PATIENCE_S = 900.0
 ROWS = 12
 
 

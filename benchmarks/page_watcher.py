@@ -20,8 +20,8 @@ _SEEN_M = (0.0, -5.0, 5.0)
 class Watcher:
     """Opens the page at an address; hears all that comes until it is closed.
 
-    `heard` counts the messages by kind; `last` has the latest of each kind. One that is lazy never
-    reads what it is sent.
+    `heard` counts the messages by kind; `last` has the latest of each kind. `shape_px` is the
+    window's width and height. One that is lazy never reads what it is sent.
     """
 
     def __init__(
@@ -29,7 +29,7 @@ class Watcher:
     ) -> None:
         self.heard: Counter[str] = Counter()
         self.last: dict[str, dict[str, Any]] = {}
-        self._shape = width_px, height_px
+        self.shape_px = width_px, height_px
         self._socket = connect(
             url.replace("http", "ws", 1),
             subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
@@ -52,8 +52,8 @@ class Watcher:
             fov=0.9,
             near=0.01,
             far=1000.0,
-            image_height=self._shape[1],
-            image_width=self._shape[0],
+            image_height=self.shape_px[1],
+            image_width=self.shape_px[0],
             look_at=look_at,
             up_direction=(0.0, 0.0, 1.0),
         )

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 
 from app.page.camera import FIELD_OF_VIEW_RAD, overview
+from app.page.panel import CHOSEN
 from maps.grid import OccupancyGrid
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -163,7 +164,7 @@ def test_a_goal_is_clicked_and_reached_round_a_box_that_comes_up(visit, address)
     visit.heading("Standing")
     # A browser that draws without a graphics card clicks late: the robot must not be there before.
     page.get_by_role("button", name="Slow", exact=True).click()
-    visit.reads("● Slow")
+    visit.reads(f"{CHOSEN}Slow")
     visit.click_floor(4.0, 0.5)
     visit.heading("Planning|Walking")
     visit.heading("Walking")

@@ -9,7 +9,7 @@ import pytest
 
 from app.page.boxes import Obstacle, snapped, with_obstacles
 from app.page.pace import Pace
-from app.page.panel import status_text
+from app.page.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.page.pointer import Pointed, facing, on_floor, on_ground, toward
 from app.page.snapshot import Snapshot
 from maps.grid import OccupancyGrid
@@ -147,3 +147,9 @@ def test_the_status_says_what_is_known_and_no_more():
     )
     for words in ("Reached", "42 ms", "2.0 cm, at most 3.0 cm", "25 cm", "1.2 cm, 5.7°"):
         assert words in told
+
+
+def test_the_button_that_is_pressed_is_marked_and_means_the_same():
+    names = marked(SPEEDS, "Slow")
+    assert [name for name in names if name.startswith(CHOSEN)] == [f"{CHOSEN}Slow"]
+    assert [unmarked(name) for name in names] == list(SPEEDS)

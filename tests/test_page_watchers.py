@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.page.camera import overview
 from app.page.page import Page
 from app.page.server import PageServer, open_server
 from app.page.session import Session
@@ -119,6 +120,22 @@ def test_the_camera_follows_on_the_page_that_wants_it_alone(served):
     assert min(first, second) == before
     follows.close()
     stays.close()
+
+
+def test_a_phone_that_is_turned_sees_the_map_anew(served):
+    served.live()
+    phone = Watcher(served.server.url, width_px=390, height_px=844)
+
+    def sees_the_map() -> bool:
+        told = phone.last.get("SetCameraPositionMessage", {"position": (0, 0, 0)})
+        wanted_m = overview(HALL, phone.shape_px[0] / phone.shape_px[1]).position_m
+        return np.allclose(told["position"], wanted_m, atol=1e-3)
+
+    wait_until(sees_the_map, "it sees the map above the panel")
+    phone.shape_px = 844, 390
+    phone.say_camera((0.0, -5.0, 5.0), (0.0, 0.0, 0.0))
+    wait_until(sees_the_map, "it sees the map beside the panel")
+    phone.close()
 
 
 def shown_walk(page: Page, start: Snapshot, frames: int, rng: np.random.Generator) -> None:

@@ -51,12 +51,17 @@ class Sight:
         return away_m / max(self.distance_m, 1e-9)
 
 
+def is_phone(aspect: float) -> bool:
+    """Whether a window of this width over height is that of a phone, held upright."""
+    return aspect < _PHONE_ASPECT
+
+
 def free_middle(aspect: float) -> tuple[float, float]:
     """The middle of what the panel leaves free of a window, from -1 left, down to 1 right, up.
 
     aspect: width over height of the window.
     """
-    return (0.0, _PHONE_SHARE) if aspect < _PHONE_ASPECT else (-_PANEL_SHARE, 0.0)
+    return (0.0, _PHONE_SHARE) if is_phone(aspect) else (-_PANEL_SHARE, 0.0)
 
 
 def centred(point_m: np.ndarray, forward: np.ndarray, distance_m: float, aspect: float) -> Sight:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.page.camera import FIELD_OF_VIEW_RAD, Follower, Sight, overview
+from app.page.camera import FIELD_OF_VIEW_RAD, Follower, Sight, is_phone, overview
 from maps.grid import OccupancyGrid
 
 # Of a window that has not said so far which shape it has.
@@ -19,9 +19,13 @@ _ASPECT = 1.5
 
 @dataclass(kw_only=True)
 class _Visitor:
-    """Somebody's page: how to reach it, its switch, and its follower while that is on."""
+    """Somebody's page: how to reach it, its switch, and its follower while that is on.
+
+    is_upright: whether the camera was aimed for a phone that is held upright.
+    """
 
     client: viser.ClientHandle
+    is_upright: bool
     # Any: viser's types say that the value of a switch cannot be set.
     switch: Any
     follower: Follower | None = None
@@ -50,12 +54,16 @@ class Cameras:
         """Moves the cameras that follow; ground_m (3,) is the ground below the robot."""
         now_s = time.monotonic()
         with self._lock:
-            visitors = [visitor for visitor in self._visitors.values() if visitor.follower]
+            visitors = list(self._visitors.values())
         for visitor in visitors:
             follower, camera = visitor.follower, visitor.client.camera
-            if follower is None:
-                continue
-            sight = follower.next(_sight(camera), ground_m, camera.aspect, now_s)
+            sight = None
+            if follower is not None:
+                sight = follower.next(_sight(camera), ground_m, camera.aspect, now_s)
+            elif is_phone(camera.aspect) != visitor.is_upright:
+                # The phone has been turned: what was free of the panel is not so any more.
+                sight = overview(self._grid, camera.aspect)
+            visitor.is_upright = is_phone(camera.aspect)
             if sight is not None:
                 _aim(visitor.client, sight)
 
@@ -78,11 +86,12 @@ class Cameras:
             order=self._order,
             hint="On this page alone. Turn the view and come nearer as you like meanwhile.",
         )
-        visitor = _Visitor(client=client, switch=switch)
+        aspect = client.camera.aspect
+        visitor = _Visitor(client=client, switch=switch, is_upright=is_phone(aspect))
         switch.on_update(lambda _event: self._switched(visitor))
         with self._lock:
             self._visitors[client.client_id] = visitor
-        _aim(client, overview(self._grid, client.camera.aspect))
+        _aim(client, overview(self._grid, aspect))
 
     def _left(self, client: viser.ClientHandle) -> None:
         with self._lock:

@@ -18,7 +18,7 @@ from planner.plan import Pose
 
 SPEEDS = {"Pause": 0.0, "Slow": 0.25, "1x": 1.0, "Fastest": math.inf}
 # Stands before the name on the button that is pressed: viser's buttons all look alike.
-CHOSEN = "● "
+CHOSEN = "✓ "
 _HINTS = {
     Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks.",
     Tool.BOX: "**Box**: click the floor to set a box down, click a box to take it away, drag it to "
