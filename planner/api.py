@@ -231,6 +231,7 @@ class Planner:
             self.model,
             unknown_is_free=self.options.unknown_is_free,
             stood_freely=not request.stands,
+            goal_reach=(self._region.reach_m, self._region.reach_rad),
         )
         return plan if wrong else refined
 

@@ -22,7 +22,7 @@ def test_a_reach_is_two_numbers():
 
 @pytest.mark.parametrize("text", ["0.1", "0.1,0.2,0.3", "-0.1,0", "0,nan", "a,b", ""])
 def test_what_is_no_reach_is_named(text):
-    with pytest.raises(ValueError, match="such as 0.05,0.1"):
+    with pytest.raises(ValueError, match=r"such as 0\.05,0\.1"):
         parse_reach(text)
 
 

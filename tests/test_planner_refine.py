@@ -176,6 +176,24 @@ def test_what_the_polygon_check_refuses_is_not_taken(monkeypatch):
     assert np.array_equal(kept.side, before.side)
 
 
+def test_a_plan_to_a_region_ends_where_the_search_ended_it():
+    grid, model = FLOOR, small_model()
+    near = {"goal_reach_m": 0.3, "goal_reach_rad": 0.8}
+    before, after = (
+        plan_footsteps(
+            grid, model, start=(1.0, 1.0, 0.3), goal=(4.6, 2.9, 2.0), options=replace(o, **near)
+        )
+        for o in (LATTICE, REFINED)
+    )
+    assert after.cost_m < before.cost_m
+    assert after.cost_before_refinement_m == before.cost_m
+    assert violations(after, grid, model, goal_reach=(0.3, 0.8)) == []
+    ends = [dict(zip(p.side[-2:], p.pose_world[-2:], strict=True)) for p in (before, after)]
+    for side in Side:
+        np.testing.assert_allclose(ends[1][side], ends[0][side], atol=1e-12)
+    assert violations(after, grid, model) == ["the last two feet are not the goal's"]
+
+
 def test_every_leg_of_a_way_through_poses_is_refined():
     grid, model = FLOOR, small_model()
     poses = [(3.0, 1.5, 0.5), (3.0, 1.5, 0.5), (4.6, 2.9, 2.0)]
