@@ -178,12 +178,10 @@ def test_what_the_polygon_check_refuses_is_not_taken(monkeypatch):
 
 def test_a_plan_to_a_region_ends_where_the_search_ended_it():
     grid, model = FLOOR, small_model()
-    near = {"goal_reach_m": 0.3, "goal_reach_rad": 0.8}
+    options = (replace(o, goal_reach_m=0.3, goal_reach_rad=0.8) for o in (LATTICE, REFINED))
     before, after = (
-        plan_footsteps(
-            grid, model, start=(1.0, 1.0, 0.3), goal=(4.6, 2.9, 2.0), options=replace(o, **near)
-        )
-        for o in (LATTICE, REFINED)
+        plan_footsteps(grid, model, start=(1.0, 1.0, 0.3), goal=(4.6, 2.9, 2.0), options=o)
+        for o in options
     )
     assert after.cost_m < before.cost_m
     assert after.cost_before_refinement_m == before.cost_m
