@@ -9,6 +9,7 @@ where the last one stopped.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from planner import search
@@ -17,6 +18,7 @@ from planner.kept import KeptTree
 from planner.options import PlannerOptions
 from planner.request import Request, Result, first_nodes, found, no_first_step
 from planner.search import NO_COST
+from planner.space import Int64s
 from planner.task import least_toward_goal
 
 _NAME = "adstar"
@@ -44,9 +46,11 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
             view = kept.look(request, nodes, costs_um)
     least_um = max(least_um, view.least_um)
     if view.best_um < NO_COST:
-        if (is_first and options.stop_at_first) or view.best_um <= wanted * least_um:
-            return _at_once(request, kept, least_um, expansions, began)
-        least_um = max(least_um, least_toward_goal(request, nodes, costs_um))
+        is_enough = is_first and options.stop_at_first
+        for bound_um in _bounds(request, kept, nodes, costs_um):
+            if is_enough or view.best_um <= wanted * least_um:
+                return _at_once(request, kept, least_um, expansions, began)
+            least_um = max(least_um, bound_um())
         if view.best_um <= wanted * least_um:
             return _at_once(request, kept, least_um, expansions, began)
     run = Run(request, replace(options, final_epsilon=wanted), began)
@@ -54,6 +58,15 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     result = run.result(kept.task(request), kept.tree)
     kept.tree, kept.open_um = run.tree, run.open_um
     return result
+
+
+def _bounds(
+    request: Request, kept: KeptTree, nodes: Int64s, costs_um: Int64s
+) -> Iterator[Callable[[], int]]:
+    """Ways to know what any plan from first steps (n,) costs at least, each dearer to ask."""
+    if request.toward.region.is_point:
+        yield lambda: kept.least_by_path(request, nodes, costs_um)
+    yield lambda: least_toward_goal(request, nodes, costs_um)
 
 
 def _at_once(

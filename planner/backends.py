@@ -8,6 +8,7 @@ from planner.adstar import plan_adstar
 from planner.ara import plan_ara, plan_astar, plan_backward
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.request import Request, Result
+from planner.rstar import plan_rstar
 
 # Takes the request, the options and the time.perf_counter() of the request's arrival.
 Backend = Callable[[Request, PlannerOptions, float], Result]
@@ -24,4 +25,5 @@ def backend(name: str) -> Backend:
         "astar": plan_astar,
         "backward": plan_backward,
         "adstar": plan_adstar,
+        "rstar": plan_rstar,
     }[name]

@@ -54,7 +54,7 @@ def build_exits(table: StepTable, guide: Potential) -> Exits:
     on_rim = (length > _RADIUS_CELLS) & (np.maximum(abs(col), abs(row)) <= _RADIUS_CELLS + hop)
     angle = np.arctan2(row, col) / (2 * np.pi) % 1.0
     sector = np.where(on_rim, np.floor(angle * SECTORS).astype(np.int64) % SECTORS, -1)
-    straight_um = _straight_cost(col, row, guide)
+    straight_um = straight_cost(col, row, guide)
     body = np.stack([guide.body_col.reshape(-1), guide.body_row.reshape(-1)], axis=1)
     turn_um = np.empty((len(body), SECTORS), np.int64)
     steps = backward_steps(table)
@@ -72,7 +72,7 @@ def build_exits(table: StepTable, guide: Potential) -> Exits:
     return Exits(turn_um=turn_um, rim=rim, radius_cells=_RADIUS_CELLS)
 
 
-def _straight_cost(cols: IntArray, rows: IntArray, guide: Potential) -> IntArray:
+def straight_cost(cols: IntArray, rows: IntArray, guide: Potential) -> IntArray:
     """Cost (...) in micrometres of the shortest 16-neighbour path over free cells."""
     far, near = np.maximum(abs(cols), abs(rows)), np.minimum(abs(cols), abs(rows))
     level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))

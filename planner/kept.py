@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner import search
+from planner.body_path import Strip, path_toward
 from planner.change import Change
 from planner.graft import find_best, graft, renew, reopen, shift_um
 from planner.lattice import final_cost_um
@@ -26,6 +27,7 @@ from planner.request import Request
 from planner.search import NO_COST, Heuristic
 from planner.space import Int64s, Space, turned_round
 from planner.task import Task, heuristic_toward_start, new_tree
+from planner.toward import body_cells_of
 
 _MOST_ROUNDS = 100  # numbers of rounds are 7 bit
 
@@ -52,6 +54,7 @@ class KeptTree:
         self.tree.scalars[search.SLACK_UM] = NO_COST
         self.heuristic: Heuristic | None = None
         self.open_um = 0
+        self._strip: Strip | None = None
 
     def graft(self, space: Space, nodes: Int64s) -> None:
         """Takes the end of a plan (n,), its steps in their order, into the tree."""
@@ -79,6 +82,18 @@ class KeptTree:
         if self.heuristic is not None:
             least = self.open_um - shift_um(request.space, self.heuristic, tree)
         return View(best_um=best, least_um=max(0, min(best, least)))
+
+    def least_by_path(self, request: Request, nodes: Int64s, costs_um: Int64s) -> int:
+        """What any plan from first steps (n,) costs at least by the path of the body to the goal.
+
+        The path costs of one start hold for all; it knows the next ones on its way.
+        """
+        potential = request.toward.tables.potential
+        cells = body_cells_of(request.toward, nodes)
+        if self._strip is None:
+            self._strip = path_toward(request.space, potential, np.unique(cells))
+        potential_um = potential.potential_um.reshape(-1)[nodes % (2 * request.space.headings)]
+        return int((costs_um + self._strip.least_um(cells) + potential_um).min())
 
     def plan(self) -> Int64s:
         """Nodes (n,) of the best plan from the start that was looked at, but for its last."""
@@ -112,6 +127,7 @@ class KeptTree:
         self._make_room(len(again))
         reopen(self.tree, again)
         if change.frees:
+            self._strip = None
             # Ways that the heuristic knows nothing of may be shorter than what it says.
             self.heuristic, self.open_um = None, 0
         elif self.heuristic is not None and len(again):

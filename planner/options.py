@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 # These plan by way of a path of the body, which OMPL finds.
 SAMPLING_PLANNERS = ("rrtconnect", "rrtstar", "informed-rrtstar", "bitstar", "prmstar", "fmt")
-PLANNERS = ("ara", "astar", "backward", "adstar", *SAMPLING_PLANNERS)
+PLANNERS = ("ara", "astar", "backward", "adstar", "rstar", *SAMPLING_PLANNERS)
 
 
 @dataclass(frozen=True, kw_only=True)

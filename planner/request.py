@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.connect import first_steps
-from planner.lattice import MICRO, foot_position
+from planner.lattice import MICRO
 from planner.model import Side, StepModel
 from planner.plan import PlanStatus
 from planner.region import beside, height_beside
@@ -139,8 +139,9 @@ def found(
     cell = (nodes >> 1) // space.headings
     col = (cell % space.cols - space.origin_col).astype(float)
     row = (cell // space.cols - space.origin_row).astype(float)
-    position = np.array(
-        [foot_position(c, r, s, model) for c, r, s in zip(col, row, side, strict=True)]
+    out = 1 - 2 * side  # `Side.outward`
+    position = np.column_stack(
+        [col * model.cell_m, row * model.cell_m + out * model.stance_width_m / 2]
     )
     yaw_rad = heading * (2 * np.pi / space.headings)
     poses = np.column_stack([position, yaw_rad])
