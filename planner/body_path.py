@@ -174,23 +174,64 @@ def _draw_near(
 
 
 @njit(cache=True)
-def descend(space: Space, cost_um: NDArray[np.int32], start: int, level_um: int) -> tuple[int, int]:
-    """The first cell from the start on that costs no more than a level, and the one before it.
+def raise_by_arrival(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    start: int,
+    straight_um: tuple[int, int, int],
+    inside: NDArray[np.bool_],
+    arrive_um: NDArray[np.int64],
+) -> int:
+    """Adds to all path costs what it costs to arrive from there (see `facing.py`).
 
-    Both are the start if that holds for it, or if no path leads from it.
+    From a cell whose path to the goal is straight and within the ring of the endgame the table says
+    it. All other ways arrive like that from the start, which is also what is returned.
     """
-    cell, before = start, start
-    while cost_um[cell] > level_um:
-        best = cell
-        for row in range(-2, 3):
-            for col in range(-2, 3):
-                near = cell + row * space.cols + col
-                if 0 < cost_um[near] < cost_um[best]:
-                    best = near
-        if best == cell:
-            return start, start
-        cell, before = best, cell
-    return cell, before
+    far_um = 0
+    cell = start
+    while cell >= 0:
+        place = _straight_place(space, cell, cost_um[cell], straight_um, inside)
+        if place[0] >= 0:
+            far_um = arrive_um[place]
+            break
+        cell = _downhill(space, cost_um, cell)
+    for cell in range(len(cost_um)):
+        if cost_um[cell] > 0:
+            place = _straight_place(space, cell, cost_um[cell], straight_um, inside)
+            cost_um[cell] += arrive_um[place] if place[0] >= 0 else far_um
+    return far_um
+
+
+@njit(cache=True)
+def _straight_place(
+    space: Space,
+    cell: int,
+    path_um: int,
+    straight_um: tuple[int, int, int],
+    inside: NDArray[np.bool_],
+) -> tuple[int, int]:
+    """Row and column in the endgame's tables of a cell whose path is straight; else -1, -1."""
+    reach = len(inside) // 2
+    col = cell % space.cols - space.origin_col + reach
+    row = cell // space.cols - space.origin_row + reach
+    if not (0 <= col <= 2 * reach and 0 <= row <= 2 * reach and inside[row, col]):
+        return -1, -1
+    goal = space.origin_col, space.origin_row
+    if path_um - 1 > _ahead(cell, space.cols, goal, straight_um, 0):
+        return -1, -1
+    return row, col
+
+
+@njit(cache=True)
+def _downhill(space: Space, cost_um: NDArray[np.int32], cell: int) -> int:
+    """The cheapest cell two around; -1 where none is cheaper."""
+    best = cell
+    for row in range(-2, 3):
+        for col in range(-2, 3):
+            near = cell + row * space.cols + col
+            if 0 < cost_um[near] < cost_um[best]:
+                best = near
+    return best if best != cell else -1
 
 
 def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPath:

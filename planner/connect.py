@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.collision import box_free, point_clearance
-from planner.lattice import allowed, foot_position, step_cost_um
+from planner.lattice import allowed, step_cost_um
 from planner.model import Side, StepModel
 from planner.plan import wrap_angle
 from planner.rise import first_climbs
@@ -34,9 +34,15 @@ def first_steps(
     body_margin_m: margin of the body's box at the pair pose of this step.
     support_um: height of the ground under the other foot in micrometres.
     """
-    nodes, poses = _nodes_around(space, model, support_lattice, swing)
-    if not len(nodes):
-        return nodes, np.zeros(0, np.int64)
+    limits = model.limits
+    low, high = (
+        np.array([limits.x_m[end], limits.y_m[end], limits.yaw_rad[end]]) for end in range(2)
+    )
+    far_m = math.hypot(*(max(map(abs, span)) for span in (limits.x_m, limits.y_m)))
+    shift_m = swing.outward * model.stance_width_m / 2
+    nodes, poses = _nodes_around(
+        space, np.array(support_lattice, float), int(swing), shift_m, low, high, far_m
+    )
     support = np.array([*support_lattice[:2], 0.0, support_lattice[2]])
     steps = _relative(support, poses, swing)
     keep = allowed(steps, model)
@@ -50,30 +56,50 @@ def first_steps(
     return nodes[free], costs_um[free]
 
 
+@njit(cache=True)
 def _nodes_around(
-    space: Space, model: StepModel, support: FloatArray, swing: Side
+    space: Space,
+    support: FloatArray,
+    swing: int,
+    shift_m: float,
+    low: FloatArray,
+    high: FloatArray,
+    far_m: float,
 ) -> tuple[Int64s, FloatArray]:
-    """All nodes (n,) of a side near enough to be a step away, and their poses (n, 3)."""
-    limits = model.limits
-    far_m = math.hypot(max(np.abs(limits.x_m)), max(np.abs(limits.y_m)))
-    bin_rad = 2 * np.pi / model.headings
-    centre = foot_position(np.zeros(()), np.zeros(()), swing, model)
-    low = np.floor((support[:2] - centre - far_m) / model.cell_m).astype(int)
-    high = np.ceil((support[:2] - centre + far_m) / model.cell_m).astype(int)
-    turn = math.ceil(max(np.abs(limits.yaw_rad)) / bin_rad) + 1
-    middle = round(float(support[2]) / bin_rad)
-    turns = np.arange(middle - turn, middle + turn + 1)[: model.headings]
-    cols = np.arange(max(low[0], -space.origin_col), high[0] + 1)
-    rows = np.arange(max(low[1], -space.origin_row), high[1] + 1)
-    cols = cols[cols < space.cols - space.origin_col]
-    rows = rows[rows < space.rows - space.origin_row]
-    col, row, heading = (v.reshape(-1) for v in np.meshgrid(cols, rows, turns, indexing="ij"))
-    cell = (row + space.origin_row) * space.cols + col + space.origin_col
-    nodes = (cell * space.headings + heading % space.headings) * 2 + int(swing)
-    poses = np.column_stack(
-        [foot_position(col.astype(float), row.astype(float), swing, model), heading * bin_rad]
+    """Nodes (n,) of a side within the limits or a hair beyond, and their poses (n, 3)."""
+    hair = 1e-6
+    bin_rad = 2 * math.pi / space.headings
+    out = 1 - 2 * swing
+    cos, sin = math.cos(support[2]), math.sin(support[2])
+    first_col = max(math.floor((support[0] - far_m) / space.cell_m), -space.origin_col)
+    last_col = min(
+        math.ceil((support[0] + far_m) / space.cell_m), space.cols - space.origin_col - 1
     )
-    return nodes.astype(np.int64), poses
+    first_row = max(math.floor((support[1] - shift_m - far_m) / space.cell_m), -space.origin_row)
+    last_row = min(
+        math.ceil((support[1] - shift_m + far_m) / space.cell_m), space.rows - space.origin_row - 1
+    )
+    turns = min(math.ceil(max(abs(low[2]), abs(high[2])) / bin_rad) + 1, (space.headings - 1) // 2)
+    middle = round(support[2] / bin_rad)
+    most = max(last_col - first_col + 1, 0) * max(last_row - first_row + 1, 0) * (2 * turns + 1)
+    nodes, poses = np.empty(most, np.int64), np.empty((most, 3))
+    number = 0
+    for col in range(first_col, last_col + 1):
+        for row in range(first_row, last_row + 1):
+            x, y = col * space.cell_m, row * space.cell_m + shift_m
+            ahead = cos * (x - support[0]) + sin * (y - support[1])
+            outward = out * (cos * (y - support[1]) - sin * (x - support[0]))
+            if not (low[0] - hair <= ahead <= high[0] + hair):
+                continue
+            if not (low[1] - hair <= outward <= high[1] + hair):
+                continue
+            cell = (row + space.origin_row) * space.cols + col + space.origin_col
+            for turn in range(middle - turns, middle + turns + 1):
+                if low[2] - hair <= out * (turn * bin_rad - support[2]) <= high[2] + hair:
+                    nodes[number] = (cell * space.headings + turn % space.headings) * 2 + swing
+                    poses[number] = x, y, turn * bin_rad
+                    number += 1
+    return nodes[:number], poses[:number]
 
 
 def _relative(support: FloatArray, poses: FloatArray, swing: Side) -> FloatArray:

@@ -8,13 +8,13 @@ the full search follows in any case, or proves what is asked.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner import search
-from planner.body_path import Strip, descend, path_toward
+from planner.body_path import Strip, path_toward, raise_by_arrival
+from planner.exits import SECTORS
 from planner.lattice import final_cost_um
 from planner.options import PlannerOptions
 from planner.request import Request
@@ -23,9 +23,7 @@ from planner.space import Int64s
 from planner.task import Task
 from planner.toward import body_cells_of
 
-_LEAST_EPSILON = 2.0
-_MOST_EXPANSIONS = 3000
-_LEVEL = 0.8  # of the cost up to which the table near the goal is exact
+_TRIES = (2.0, 3000), (3.0, 12000)  # weights, with as many expansions as each may take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,26 +40,28 @@ def quick_path(
     request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
 ) -> QuickPath | None:
     """A plan from the first steps (n,) with their costs; None where the strip holds none."""
-    toward = request.toward
+    toward, exits = request.toward, request.toward.tables.exits
     potential_um = toward.tables.potential.potential_um.reshape(-1)
     cells = body_cells_of(toward, nodes)
     path = path_toward(request.space, toward.tables.potential, np.unique(cells))
+    if not np.any(path.cost_um[cells] > 0):
+        return None
     rows = nodes % (2 * request.space.headings)
     bounds_um = costs_um + path.least_um(cells) + potential_um[rows]
-    _lift(request, path, int(cells[np.argmin(costs_um)]))
+    arrive_um = _lift(request, path, int(cells[np.argmin(costs_um)]))
     task = Task(
         space=request.space,
         heuristic=Heuristic(
             path.cost_um,
-            path.settled_um,  # off the strip it is as far as from the start
+            path.settled_um + arrive_um,  # off the strip it is as far as from the start
             toward.body_cell,
             potential_um,
             toward.tables.endgame.cost_um,
             toward.tables.endgame.cap_um,
-            toward.tables.exits.turn_um,
-            np.zeros((1, 1), np.int32),
-            np.zeros((0, 4), np.int64),
-            request.space.cols + request.space.rows,  # no exit bound: all is within the circle
+            toward.tables.facing.depart_um,
+            np.zeros((request.space.cols * request.space.rows, SECTORS), np.int32),
+            exits.rim,
+            exits.radius_cells,
         ),
         steps=request.space.steps,
         is_backward=False,
@@ -70,41 +70,30 @@ def quick_path(
         goals=toward.goal_nodes,
         goal_um=np.full(2, final_cost_um(request.model)),
     )
-    tree = task.tree()
-    epsilon = max(options.epsilon, _LEAST_EPSILON)
-    budget = min(_MOST_EXPANSIONS, options.max_expansions)
-    search.begin_round(task.space, task.heuristic, tree, epsilon)
-    outcome = search.expand(task.space, task.heuristic, tree, epsilon, budget)
-    if outcome != search.IMPROVED and tree.scalars[search.BEST_UM] == search.NO_COST:
-        return None
-    return QuickPath(
-        nodes=task.in_order(search.trace(tree, int(tree.scalars[search.BEST_NODE]))),
-        cost_um=int(tree.scalars[search.BEST_UM]),
-        least_um=int(bounds_um.min()),
-        expansions=int(tree.scalars[search.EXPANSIONS]),
-    )
+    expansions = 0
+    for epsilon, budget in _TRIES:
+        tree = task.tree()
+        weight = max(options.epsilon, epsilon)
+        search.begin_round(task.space, task.heuristic, tree, weight)
+        budget = min(budget, options.max_expansions - expansions)
+        search.expand(task.space, task.heuristic, tree, weight, budget)
+        expansions += int(tree.scalars[search.EXPANSIONS])
+        if tree.scalars[search.BEST_UM] < search.NO_COST:
+            return QuickPath(
+                nodes=task.in_order(search.trace(tree, int(tree.scalars[search.BEST_NODE]))),
+                cost_um=int(tree.scalars[search.BEST_UM]),
+                least_um=int(bounds_um.min()),
+                expansions=expansions,
+            )
+    return None
 
 
-def _lift(request: Request, path: Strip, start: int) -> None:
-    """Raises the path costs far from the goal by what turning near it will cost.
+def _lift(request: Request, path: Strip, start: int) -> int:
+    """Raises the path costs by what arriving costs; by how much far from the goal.
 
     Near the goal the exact table counts every turn, farther off nothing does. A search that weighs
     the heuristic would go along the border between the two and look everywhere outside first.
     """
-    endgame, space = request.toward.tables.endgame, request.space
-    potential_um = request.toward.tables.potential.potential_um.reshape(-1)
-    level_um = int(_LEVEL * endgame.cap_um)
-    cell, before = descend(space, path.cost_um, start, level_um)
-    if cell == start:
-        return
-    came = cell % space.cols - before % space.cols, cell // space.cols - before // space.cols
-    heading = round(math.atan2(came[1], came[0]) / (2 * math.pi) * space.headings) % space.headings
-    rows = np.array([2 * heading, 2 * heading + 1])
-    reach = len(endgame.cost_um) // 2
-    feet = cell - request.toward.body_cell[rows]
-    col = feet % space.cols - space.origin_col + reach
-    row = feet // space.cols - space.origin_row + reach
-    if min(col.min(), row.min()) >= 0 and max(col.max(), row.max()) <= 2 * reach:
-        exact_um = endgame.cost_um[row, col, rows] - potential_um[rows]
-        gap_um = int(exact_um.min()) - int(path.cost_um[cell])
-        path.cost_um[path.cost_um > level_um] += max(0, gap_um)
+    endgame, facing = request.toward.tables.endgame, request.toward.tables.facing
+    rules = path.straight_um, endgame.inside, facing.arrive_um
+    return raise_by_arrival(request.space, path.cost_um, start, *rules)

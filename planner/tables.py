@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from planner.endgame import Endgame, build_endgame
 from planner.exits import Exits, build_exits
+from planner.facing import Facing, build_facing
 from planner.guide import Potential, build_potential
 from planner.lattice import StepTable, build_step_table
 from planner.model import StepModel
@@ -19,6 +20,7 @@ class Tables(NamedTuple):
     potential: Potential
     endgame: Endgame
     exits: Exits
+    facing: Facing
 
 
 @lru_cache(maxsize=8)
@@ -27,4 +29,5 @@ def tables_of(model: StepModel) -> Tables:
     steps = build_step_table(model)
     potential = build_potential(model, steps)
     endgame = build_endgame(model, steps, potential)
-    return Tables(steps, potential, endgame, build_exits(steps, potential))
+    facing = build_facing(potential, endgame)
+    return Tables(steps, potential, endgame, build_exits(steps, potential), facing)
