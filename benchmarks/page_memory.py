@@ -26,8 +26,8 @@ from app.page.view import load_robot
 from benchmarks.page_watcher import Watcher
 from planner.options import PlannerOptions
 
-GOALS = ((1.5, 0.0, 0.0), (0.0, 0.0, 3.1))
-PATIENCE_S = 900.0
+GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
+PATIENCE_S = 300.0
 ROWS = 12
 
 
@@ -96,7 +96,8 @@ def wait(page: Page, wanted: Callable[[], bool]) -> None:
     until_s = time.monotonic() + PATIENCE_S
     while not wanted():
         if time.monotonic() > until_s:
-            raise TimeoutError("the robot does not do what it was told")
+            snapshot = page.session.snapshot
+            raise TimeoutError(f"the robot is {snapshot.status}, {snapshot.notice}")
         page.show(page.session.snapshot)
         time.sleep(0.005)
 

@@ -30,7 +30,7 @@ ARGUMENTS = [
     "--no-first-run",
 ]
 # The browser draws without a graphics card, and slowly.
-PATIENCE_MS = 120_000
+PATIENCE_MS = 300_000
 # A complaint of the viewer's own about its dragging; nothing comes of it.
 HARMLESS = "Unable to preventDefault inside passive event listener"
 

@@ -27,7 +27,7 @@ from sim.robots import get_robot
 ROBOT = get_robot("jvrc1")
 POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
 HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
-PATIENCE_S = 120.0
+PATIENCE_S = 300.0
 
 
 class Served:
