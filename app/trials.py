@@ -53,7 +53,7 @@ class Course:
     policy: Path | None
     unknown_is_free: bool
     planner: str = PlannerOptions.name
-    refine: bool = True
+    refine: bool = False
 
 
 def run(options: TrialsOptions) -> int:
