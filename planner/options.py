@@ -28,7 +28,7 @@ class PlannerOptions:
     name: str = "ara"
     epsilon: float = 1.2
     final_epsilon: float = 1.0
-    improve_expansions: int | None = 20_000
+    improve_expansions: int | None = 60_000
     max_expansions: int = 3_000_000
     time_limit_s: float | None = None
     stop_at_first: bool = False
