@@ -55,10 +55,16 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
 def quick_plan(
     request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
 ) -> QuickPath | None:
-    """A plan to the goal's own pose, if it is free, with a bound that holds for all that may be."""
+    """A plan to the goal's own pose, if it is free, with a bound that holds for all that may be.
+
+    Where more than the first plan is wanted and the goal is a region there is none: effort would go
+    into improving a plan to its middle, the dearest end to come to.
+    """
     toward = request.toward
     if toward.region.is_point:
         return quick_path(request, nodes, costs_um, options)
+    if not options.stop_at_first:
+        return None
     if not np.all(np.isin(toward.goal_nodes, toward.ends)):
         return None
     quick = quick_path(request, nodes, costs_um, options)
