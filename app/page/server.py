@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import io
 import socket
+from typing import Any
 
 import viser
 
@@ -13,12 +15,45 @@ from app.errors import InputError
 LOCAL = "127.0.0.1"
 
 
+class OneThreadEvent(asyncio.Event):
+    """An event that is set in its loop's thread alone.
+
+    viser sets the event of a buffer in whatever thread writes to it, and then once more in the
+    loop's thread. The first can meet a change of who waits: "deque mutated during iteration", once
+    in some 100,000 messages with several pages open, in the middle of somebody's frame.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        super().__init__()
+        self._loop_of_waiters = loop
+
+    def set(self) -> None:
+        """Wakes who waits; in another thread nothing happens."""
+        try:
+            running = asyncio.get_running_loop()
+        except RuntimeError:
+            return
+        if running is self._loop_of_waiters:
+            super().set()
+
+
 class PageServer(viser.ViserServer):
     """A viser server that opens no tunnel to other networks, whatever a page asks for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuses: what is served here is for those who can reach this machine."""
         return None
+
+    def calm(self) -> None:
+        """Lets any thread write to pages that are open, see OneThreadEvent; before any is."""
+        messages = self._websock_server
+
+        def calm(buffer: Any) -> None:
+            buffer.message_event = OneThreadEvent(buffer.event_loop)
+
+        calm(messages.get_message_buffer())
+        # These run before anybody waits for the messages of a new page.
+        messages.on_client_connect(lambda connection: calm(connection.get_message_buffer()))
 
     def stop(self) -> None:
         """Ends the server, without viser's word about it on standard output."""
@@ -42,6 +77,7 @@ def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
     # viser announces itself on standard output, which belongs to results.
     with contextlib.redirect_stdout(io.StringIO()):
         server = PageServer(host=host, port=port, label=title, verbose=False)
+    server.calm()
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
 
