@@ -67,7 +67,7 @@ class Watched:
         self.now_s, self.robot_m = 0.0, np.zeros(3)
         self.told = [overview(GRID, LANDSCAPE)]
         self.late = late
-        self.follower = Follower(self.told[0], self.now_s)
+        self.follower = Follower(self.told[0], LANDSCAPE, self.now_s)
 
     @property
     def seen(self) -> Sight:

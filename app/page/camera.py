@@ -22,6 +22,7 @@ _NEAREST_M = 3.0
 _MARGIN = 1.1
 # A camera that begins to follow comes so near, and looks at this height above the ground.
 FOLLOW_DISTANCE_M = 4.5
+_PHONE_DISTANCE_M = 8.0
 FOLLOW_HEIGHT_M = 0.8
 # So far behind in time that the picture does not sway with the gait.
 _LAG_S = 0.7
@@ -102,11 +103,12 @@ class Follower:
     it is what it was told itself a moment ago.
     """
 
-    def __init__(self, now: Sight, now_s: float) -> None:
-        """Begins with the camera as it is; now_s is the clock's time."""
+    def __init__(self, now: Sight, aspect: float, now_s: float) -> None:
+        """Begins with the camera as it is; aspect of the window, now_s of the clock."""
         self._told = deque([now], maxlen=_REMEMBERED)
         self._sight = now
-        self._distance_m = min(now.distance_m, FOLLOW_DISTANCE_M)
+        near_m = _PHONE_DISTANCE_M if is_phone(aspect) else FOLLOW_DISTANCE_M
+        self._distance_m = min(now.distance_m, near_m)
         self._now_s, self._free_from_s = now_s, -math.inf
 
     def next(self, seen: Sight, robot_m: np.ndarray, aspect: float, now_s: float) -> Sight | None:

@@ -99,8 +99,9 @@ class Cameras:
 
     def _switched(self, visitor: _Visitor) -> None:
         wanted = visitor.switch.value
-        now = _sight(visitor.client.camera)
-        visitor.follower = Follower(now, time.monotonic()) if wanted else None
+        camera = visitor.client.camera
+        follower = Follower(_sight(camera), camera.aspect, time.monotonic())
+        visitor.follower = follower if wanted else None
 
 
 def aim_pages(server: viser.ViserServer, sight: Sight) -> None:
