@@ -9,6 +9,7 @@ from pathlib import Path
 
 from app.errors import ExitCode, InputError, as_bad_input
 from app.inputs import find_robot
+from app.options import Interval
 from app.output import make_folder, write_text
 from app.progress import ProgressBar, say
 from app.train_options import TrainOptions
@@ -27,7 +28,7 @@ from sim.robot import Robot
 # A robot that may not step so high climbs no stairs.
 LEAST_RISE_M = 0.02
 OWN_CORPUS = "corpus"
-CORPUS_PLANS, CORPUS_SEED = 1000, 0
+CORPUS_PLANS = 1000
 
 
 def run(options: TrainOptions) -> int:
@@ -109,6 +110,9 @@ def check_folder(out: Path, *, resume: bool) -> None:
 def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
     """The plans to train on; a new run without a corpus makes its own first.
 
+    Its plans turn to all sides, go around obstacles and are refined: their steps are anything that
+    the limits allow, where a plain search takes them from a set that the task draws anyway.
+
     Raises:
         InputError: there is no corpus, or it is not for this robot.
     """
@@ -122,8 +126,12 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
             DatasetOptions(
                 out=folder,
                 count=CORPUS_PLANS,
-                seed=CORPUS_SEED,
                 robot=robot.name,
+                goal_x=Interval(-1.0, 3.0),
+                goal_y=Interval(-2.0, 2.0),
+                goal_yaw=Interval(-3.14, 3.14),
+                obstacles=4,
+                refine=True,
                 workers=options.workers,
             )
         )

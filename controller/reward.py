@@ -14,6 +14,7 @@ import numpy as np
 TARGET_RADIUS_M = 0.20
 FOOT_SPEED_SCALE_M_S = 0.4
 SWING_HEIGHT_M = 0.06
+HIGH_SWING_M = 0.10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +69,13 @@ def named_foot_heading(s: WalkState) -> np.ndarray:
 
 
 def swing_clearance(s: WalkState) -> np.ndarray:
-    """The swing foot lifted clear of the ground in the middle of its swing."""
+    """The swing foot lifted clear of the ground in the middle of its swing, and not much more.
+
+    `foot_speed` asks a swing foot to move; where the step is short, up is as good as forward to it.
+    """
     lift = np.clip(s.sole_height_m / SWING_HEIGHT_M, 0.0, 1.0)
-    return np.min(np.where(s.support_indicator <= -1.0, lift, 1.0), axis=1)
+    excess = np.clip(s.sole_height_m / HIGH_SWING_M - 1, 0.0, 1.0)
+    return np.min(np.where(s.support_indicator <= -1.0, lift - excess, 1.0), axis=1)
 
 
 def orientation(s: WalkState) -> np.ndarray:

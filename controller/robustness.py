@@ -32,7 +32,7 @@ class Robustness:
     """
 
     quiet_share: float = 0.4
-    joint_noise_deg: Interval = (0.0, 5.0)
+    joint_noise_deg: Interval = (0.0, 6.5)
     joint_speed_noise_per_s: float = 10.0
     tilt_noise_deg: Interval = (0.0, 1.0)
     angular_speed_noise_rad_s: Interval = (0.0, 0.1)

@@ -30,7 +30,7 @@ class TaskConfig:
     joint_speed_noise_rad_s: float = 0.2
     wait_ticks: int = 20
     stairs_share: float = 0.38
-    planned_share: float = 0.25
+    planned_share: float = 0.35
     exact_rise: bool = False
     robustness: Robustness = field(default_factory=Robustness)
     reward: Mapping[str, float] = field(default_factory=lambda: dict(PRECISE))
