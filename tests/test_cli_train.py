@@ -48,8 +48,11 @@ def trainers(monkeypatch):
 def test_run_from_nothing_makes_the_corpus_that_dataset_makes(tmp_path, trainers, monkeypatch):
     out, other = tmp_path / "run", tmp_path / "corpus"
     assert main(["train", "--out", str(out), "--workers", "1"]) == 0
-    wide = "--obstacles 4 --goal-x=-1,3 --goal-y=-2,2 --goal-yaw=-3.14,3.14 --refine".split()
-    assert main(["dataset", "--count", "2", *wide, "--workers", "1", "--out", str(other)]) == 0
+    wide = ["--goal-x=-1,3", "--goal-y=-2,2", "--goal-yaw=-3.14,3.14", "--obstacles", "4"]
+    assert (
+        main(["dataset", "--count", "2", *wide, "--refine", "--workers", "1", "--out", str(other)])
+        == 0
+    )
     for name in (PLANS, MANIFEST):
         assert (out / "corpus" / name).read_bytes() == (other / name).read_bytes()
     assert len(trainers[0].planned.offsets) == 3
