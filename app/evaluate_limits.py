@@ -1,6 +1,6 @@
 """What planning should know of its follower: step limits, margins of foot and body, rises.
 
-The limits are the widest of some candidates within which walks succeed; the margins are measured
+The limits are a box of steps cut back until the walks within it succeed; the margins are measured
 on walks within those limits.
 """
 
@@ -16,14 +16,13 @@ from app.evaluate_parts import Bench, Part, Results
 from controller.cursor import Track
 from controller.follower import Measured, planning_model
 from controller.gait import CONTROL_PERIOD_S
+from controller.limit_search import Trial, search_limits
 from controller.step_region import (
     WALK_S,
     StepWalks,
-    anywhere_within,
-    candidate_limits,
     kinds_over,
     step_map,
-    walk_steps,
+    walk_within,
 )
 from controller.sway import Reach
 from controller.walks import set_off, walk
@@ -56,18 +55,20 @@ def limits_parts(bench: Bench) -> list[Part]:
         return {"walks_each": each, "kinds": cells}
 
     def measure_region(results: Results) -> dict[str, Any]:
-        tried = []
-        for limits in candidate_limits(robot):
-            walks = _walk_within(bench, limits)
-            success = float(walks.upright.mean())
-            tried.append({"limits": asdict(limits), "success": success})
-            if success >= SUCCESS:
-                break
+        latest: list[StepWalks] = []
+
+        def walk_limits(limits: StepLimits) -> Trial:
+            walks, trial = _walk_within(bench, limits)
+            latest[:] = [walks]
+            return trial
+
+        trials = search_limits(trained, trained.limits, walk_limits, success=SUCCESS)
+        walks = latest[0]
         errors = sole_errors_m(walks, robot.step_model.foot)
         return {
             "walks_each": len(walks.upright),
-            "tried": tried,
-            "found": success >= SUCCESS,
+            "tried": [{"limits": asdict(t.limits), "success": t.success} for t in trials],
+            "found": trials[-1].success >= SUCCESS,
             "landings": len(errors),
             "sole_error_m_p99": float(np.percentile(errors, 99)) if len(errors) else None,
         }
@@ -95,14 +96,15 @@ def limits_parts(bench: Bench) -> list[Part]:
     ]
 
 
-def _walk_within(bench: Bench, limits: StepLimits) -> StepWalks:
+def _walk_within(bench: Bench, limits: StepLimits) -> tuple[StepWalks, Trial]:
     stated = bench.robot.step_model
-    among = [step for step in stated.steps if limits.contain(step)]
-    model = replace(stated, limits=limits, steps=tuple(among))
-    return walk_steps(
+    steps = tuple(step for step in stated.steps if limits.contain(step))
+    model = replace(stated, limits=limits, steps=steps)
+    return walk_within(
         bench.robot,
         bench.policy,
-        anywhere_within(limits, among, lambda steps: allowed(steps, model)),
+        limits,
+        lambda steps: allowed(steps, model),
         count=bench.episodes,
         seed=bench.seed,
         threads=bench.threads,

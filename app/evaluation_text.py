@@ -261,8 +261,9 @@ def _limits(document: Document) -> list[str]:
         "",
         "![Success and foot error of all kinds of steps](limits.png)",
         "",
-        "Limits are tried from the widest to narrower ones, in walks that begin with two steps on "
-        "their corners and go on anywhere within them and with steps of the planner's set:",
+        "The limits are those trained on, cut back at the corner where most walks fall until 99 % "
+        "succeed. Walks begin with two steps on corners and go on anywhere within the limits and "
+        "with steps of the planner's set:",
         "",
     ]
     rows = [

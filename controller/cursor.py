@@ -159,13 +159,15 @@ class StepCursor:
 
     @property
     def stances(self) -> np.ndarray:
-        """Both feet (B, 2, 2, 4) of the stance that the present step leaves, and of the one after.
+        """Both feet (B, 3, 2, 4) of the stance before the present step, of that after it, and next.
 
-        In the order in which the feet move; of a standing robot both stances are the same.
+        In the order in which the feet move. Before the first step and after the last one there is
+        no farther stance than the one that the robot stands in.
         """
-        first = np.where(self.standing, self.entry, np.maximum(self.entry - 1, 0))
-        before = np.where(self.standing | (self.entry < STANCE), first, self.entry - 2)
-        entries = np.stack([before, first], axis=1)[..., None] + np.arange(2)
+        after = np.where(self.standing, self.entry, self.entry - 1)
+        next_ = np.where(self.standing, self.entry, np.minimum(self.entry, self._steps))
+        before = np.where(self.standing, self.entry, np.maximum(self.entry - STANCE, 0))
+        entries = np.stack([before, after, next_], axis=1)[..., None] + np.arange(2)
         return self._pose[self._rows[:, None, None], entries]
 
     @property

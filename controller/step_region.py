@@ -5,18 +5,18 @@ Walks are 10 s long. Steps are (x_m, y_m, yaw_rad) in the support foot's frame, 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from controller.cursor import STANCE, Track
 from controller.gait import CONTROL_PERIOD_S
+from controller.limit_search import Trial, corners_of
 from controller.policy import Policy
 from controller.sequences import chain_steps
 from controller.walks import portions, set_off, walk
-from planner.model import Side, Step, StepLimits
+from planner.model import Side, StepLimits
 from sim.robot import Robot
 
 WALK_S = 10.0
@@ -137,57 +137,60 @@ def step_map(
     return found
 
 
-def anywhere_within(limits: StepLimits, among: Sequence[Step], possible: Possible) -> DrawSteps:
-    """Walks that begin with two steps on corners of the limits and go on anywhere within them.
+def walk_within(
+    robot: Robot,
+    policy: Policy,
+    limits: StepLimits,
+    possible: Possible,
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+    falls_at_most: int | None = None,
+) -> tuple[StepWalks, Trial]:
+    """Walks within limits, and how they went at each corner of these.
 
-    Corners are hardest, and plans touch them where they join the robot's stance to their lattice.
-    Of the other steps half are drawn evenly over the limits and half from the planner's set.
+    They begin with two steps on corners, which are hardest, and which plans touch where they join
+    the robot's stance to their lattice. They go on with steps anywhere within the limits or, half
+    of them, of the planner's set.
     """
+    corners = corners_of(limits)
+    usable = np.flatnonzero(possible(corners))
+    among = np.array([step for step in robot.step_model.steps if limits.contain(step)])
     low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T
-    corners = np.array(list(itertools.product(limits.x_m, limits.y_m, limits.yaw_rad)))
-    corners, usual = corners[possible(corners)], np.array(among)
+    touched = np.zeros((count, len(corners)), dtype=bool)
 
-    def draw_one(rng: np.random.Generator) -> np.ndarray:
+    def anywhere(rng: np.random.Generator) -> np.ndarray:
         while True:
             step = rng.uniform(low, high)
             if possible(step[None])[0]:
                 return np.asarray(step)
 
     def draw(rng: np.random.Generator, steps: int, row: int) -> tuple[np.ndarray, np.ndarray]:
-        relative = usual[rng.integers(len(usual), size=steps)]
+        relative = among[rng.integers(len(among), size=steps)]
         for k in np.flatnonzero(rng.uniform(size=steps) < 0.5):
-            relative[k] = draw_one(rng)
-        if len(corners):
-            relative[:2] = corners[rng.integers(len(corners), size=2)]
+            relative[k] = anywhere(rng)
+        if len(usable):
+            first = usable[rng.integers(len(usable), size=2)]
+            relative[:2], touched[row, first] = corners[first], True
         return relative, np.ones(steps, dtype=bool)
 
-    return draw
-
-
-def candidate_limits(robot: Robot) -> list[StepLimits]:
-    """Limits to try, the widest first.
-
-    From those trained on in four equal parts to those of the robot's file, then on in tenths
-    towards stepping in place.
-    """
-    trained, stated = robot.training_model.limits, robot.step_model.limits
-    standing = StepLimits(
-        x_m=(0.0, 0.0), y_m=(robot.step_model.stance_width_m,) * 2, yaw_rad=(0.0, 0.0)
+    walks = walk_steps(
+        robot,
+        policy,
+        draw,
+        count=count,
+        seed=seed,
+        threads=threads,
+        falls_at_most=falls_at_most,
     )
-    tried = [_between(trained, stated, share) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
-    tried += [_between(stated, standing, share) for share in (0.1, 0.2, 0.3, 0.4, 0.5)]
-    return list(dict.fromkeys(tried))
-
-
-def _between(wide: StepLimits, narrow: StepLimits, share: float) -> StepLimits:
-    """Limits with each end moved by the share from wide to narrow, to the nearest millimetre."""
-
-    def blend(name: str) -> tuple[float, float]:
-        ends = zip(getattr(wide, name), getattr(narrow, name), strict=True)
-        low, high = (round((1 - share) * w + share * n, 3) for w, n in ends)
-        return low, high
-
-    return StepLimits(x_m=blend("x_m"), y_m=blend("y_m"), yaw_rad=blend("yaw_rad"))
+    done = touched[: len(walks.upright)]
+    return walks, Trial(
+        limits=limits,
+        success=float(walks.upright.mean()),
+        walked=done.sum(axis=0),
+        fell=done[~walks.upright].sum(axis=0),
+    )
 
 
 def kinds_over(limits: StepLimits, stance_width_m: float, possible: Possible) -> np.ndarray:

@@ -32,11 +32,11 @@ class Reach:
         self.names = [model.geom(k).name for k in self._geoms]
 
     def beyond_m(self, qpos: np.ndarray, stances: np.ndarray) -> np.ndarray:
-        """How far each shape (G,) leaves the nearer of two boxes; negative is within.
+        """How far each shape (G,) leaves the nearest of some boxes; negative is within.
 
         Args:
             qpos: the robot's state (nq,).
-            stances: both feet (2, 2, 4) of the stance before the step under way and after it.
+            stances: both feet (n, 2, 4) of each stance that the plan was checked at nearby.
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
@@ -53,7 +53,7 @@ class Reach:
             self._data.geom_xmat[self._geoms].reshape(-1, 3, 3).transpose(0, 2, 1) @ axes.T
         )
         reach = [half_extent(self._model, k, turned[i]) for i, k in enumerate(self._geoms)]
-        return (centre + np.array(reach) - half).max(axis=1)
+        return np.asarray((centre + np.array(reach) - half).max(axis=1))
 
 
 def half_extent(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> np.ndarray:

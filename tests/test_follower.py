@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from app.inputs import find_follower
+from controller import step_region
 from controller.follower import (
     Measured,
     as_measured,
     load_measured,
     measured_path,
-    planning_model,
     to_text,
 )
+from controller.limit_search import Trial, corners_of, cut_back, search_limits
 from controller.policy import PolicyError, load_policy, save_policy
-from controller.step_region import anywhere_within, candidate_limits, kinds_over
+from controller.step_region import StepWalks, kinds_over
 from controller.sway import Reach, half_extent
 from planner.lattice import allowed
 from planner.model import StepLimits
@@ -102,49 +102,88 @@ def test_what_ships_beside_a_policy_can_be_planned_with(name):
     assert len(model.steps) >= 5
 
 
-@pytest.mark.parametrize("name", robot_names())
-def test_candidates_go_from_what_is_trained_inwards(name):
-    robot = get_robot(name)
-    tried = candidate_limits(robot)
-    trained, stated = robot.training_model.limits, robot.step_model.limits
-    assert asdict(tried[0])["x_m"] == trained.x_m
-    assert replace(stated, z_m=tried[0].z_m) in tried
-    corners = [[(x, y, yaw) for x in c.x_m for y in c.y_m for yaw in c.yaw_rad] for c in tried]
-    for outer, inner in zip(tried, corners[1:], strict=False):
-        assert outer.contain(inner).all()
-    for limits in tried:
-        assert limits.contain((0.0, robot.step_model.stance_width_m, 0.0))
-        planning_model(
-            robot.step_model,
-            Measured(
-                robot=name,
-                policy_sha256="",
-                limits=limits,
-                foot_margin_m=0.0,
-                body_margin_m=0.0,
-            ),
+def trial(limits, success, corner) -> Trial:
+    fell = np.zeros(8)
+    fell[corner] = 3
+    return Trial(limits=limits, success=success, walked=np.full(8, 10), fell=fell)
+
+
+def test_a_corner_is_cut_where_planning_loses_least():
+    """Steps at x -0.1, y 0.2 and 0.3: cutting x low or y high would lose one."""
+    steps = ((-0.1, 0.2, 0.0), (0.1, 0.3, 0.0))
+    model = replace(ROBOT.step_model, limits=NARROW, steps=steps)
+    tight = replace(NARROW, y_m=(0.17, 0.3))
+    corners = corners_of(tight)
+    assert corners[0].tolist() == [-0.1, 0.17, -0.16]
+    assert corners[3].tolist() == [-0.1, 0.3, 0.2]
+    # Of y low (1 of 13 cm) and yaw low (0.03 of 0.36 rad) the first loses the smaller part.
+    assert cut_back(tight, 0, model) == replace(tight, y_m=(0.18, 0.3))
+    assert cut_back(tight, 3, model) == replace(tight, yaw_rad=(-0.16, 0.17))
+    standing = StepLimits(x_m=(0.0, 0.0), y_m=(0.2, 0.2), yaw_rad=(0.0, 0.0))
+    only = replace(model, limits=standing, steps=((0.0, 0.2, 0.0),))
+    assert cut_back(standing, 5, only) is None
+
+
+def test_limits_are_cut_until_walks_succeed():
+    """Robots that fall where feet come nearer than 18.5 cm, and nowhere else."""
+    asked = []
+
+    def walk(limits):
+        asked.append(limits)
+        return trial(limits, 1.0 if limits.y_m[0] > 0.185 else 0.5, 0)
+
+    model = replace(ROBOT.training_model, steps=((0.0, 0.2, 0.0), (-0.2, 0.2, -0.2)))
+    trials = search_limits(model, model.limits, walk, success=0.99)
+    assert [found.limits for found in trials] == asked
+    assert trials[-1].limits == replace(model.limits, y_m=(0.19, model.limits.y_m[1]))
+    assert len(trials) == 4
+    hopeless = search_limits(
+        model, model.limits, lambda limits: trial(limits, 0.0, 0), success=0.99
+    )
+    assert 5 < len(hopeless) <= 31
+    assert hopeless[-1].limits.contain((0.0, 0.2, 0.0))
+
+
+def test_walks_within_limits_begin_on_corners(monkeypatch):
+    """Every walk that begins on the corner that is made to fail falls, and is counted there."""
+    drawn = {}
+
+    def walk_steps(robot, policy, draw, *, count, **_):
+        rng = np.random.default_rng(0)
+        for row in range(count):
+            drawn[row], counting = draw(rng, 12, row)
+            assert counting.all()
+        corner = corners_of(NARROW)[2]
+        fell = [np.isclose(drawn[row][:2], corner).all(axis=1).any() for row in range(count)]
+        return StepWalks(
+            upright=~np.array(fell),
+            robot=np.zeros(0, dtype=int),
+            error_m=np.zeros(0),
+            heading_error_rad=np.zeros(0),
         )
 
-
-def test_drawn_steps_begin_on_corners_and_stay_within():
-    rng = np.random.default_rng(0)
-    usual = [(0.1, 0.2, 0.0), (0.2, 0.2, 0.0)]
-    corners = list(itertools.product(NARROW.x_m, NARROW.y_m, NARROW.yaw_rad))
-
-    def not_the_last(steps: np.ndarray) -> np.ndarray:
-        return np.asarray(~np.isclose(steps, corners[-1]).all(axis=1))
-
-    draw = anywhere_within(NARROW, usual, not_the_last)
-    walks = [draw(rng, 12, row) for row in range(60)]
-    steps = np.array([relative for relative, _ in walks])
-    assert all(counting.all() for _, counting in walks)
-    assert NARROW.contain(steps).all()
+    monkeypatch.setattr(step_region, "walk_steps", walk_steps)
+    impossible = corners_of(NARROW)[7]
+    _, found = step_region.walk_within(
+        ROBOT,
+        None,
+        NARROW,
+        lambda steps: ~np.isclose(steps, impossible).all(axis=1),
+        count=200,
+        seed=0,
+    )
+    steps = np.array(list(drawn.values()))
     first = {tuple(step) for step in steps[:, :2].reshape(-1, 3)}
-    assert first == set(corners[:-1])
+    assert first == {tuple(corner) for corner in corners_of(NARROW)[:7]}
+    assert NARROW.contain(steps).all()
     later = steps[:, 2:].reshape(-1, 3)
-    share = np.mean([tuple(step) in usual for step in later])
-    assert 0.4 < share < 0.6
+    usual = {step for step in ROBOT.step_model.steps if NARROW.contain(step)}
+    assert 0.4 < np.mean([tuple(step) in usual for step in later]) < 0.6
     assert np.ptp(later, axis=0) == pytest.approx([0.3, 0.14, 0.36], rel=0.1)
+    assert found.worst_corner == 2
+    assert found.fell[2] == found.walked[2] > 30
+    assert found.walked[7] == 0
+    assert 0.7 < found.success < 0.85
 
 
 def test_the_grid_of_steps_goes_through_stepping_in_place():

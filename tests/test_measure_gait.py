@@ -170,20 +170,22 @@ def test_a_push_gives_the_momentum_that_it_is_told_to():
     assert momentum[:2] == pytest.approx([0.0, 12.0], abs=0.1)
 
 
-def test_stances_before_and_after_each_step():
+def test_stances_before_and_after_each_step_and_next():
     ticks = GaitTicks(swing=1, double_support=1)
     cursor = StepCursor(ticks, 1, 4)
     poses = np.zeros((5, 4))
     poses[:, 0] = range(5)
     cursor.follow(0, Track(side=np.array([0, 1, 0, 1, 0]), pose_world=poses))
     seen = []
-    for _ in range(8):
+    while not cursor.arrived[0]:
         seen.append(cursor.stances[0, :, :, 0].astype(int).tolist())
         cursor.advance()
-    standing, first, second = [[0, 1], [0, 1]], [[0, 1], [1, 2]], [[1, 2], [2, 3]]
-    assert seen[0] == standing
-    assert seen.count(first) == seen.count(second) == 2
-    assert seen[-1] == [[2, 3], [3, 4]]
-    while not cursor.arrived[0]:
-        cursor.advance()
-    assert cursor.stances[0, :, :, 0].tolist() == [[3, 4], [3, 4]]
+    first, second, third, last = [0, 1], [1, 2], [2, 3], [3, 4]
+    waiting, shifting = [first, first, first], [first, first, second]
+    assert seen == [
+        *(waiting, shifting),
+        *[[first, second, third]] * 2,
+        *[[second, third, last]] * 2,
+        *[[third, last, last]] * 2,
+    ]
+    assert cursor.stances[0, :, :, 0].tolist() == [last] * 3
