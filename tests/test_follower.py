@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from controller.follower import (
     to_text,
 )
 from controller.limit_search import Trial, corners_of, cut_back, search_limits
-from controller.policy import PolicyError, load_policy, save_policy
+from controller.policy import Policy, PolicyError, load_policy, save_policy
 from controller.step_region import StepWalks, kinds_over
 from controller.sway import Reach, half_extent
 from planner.lattice import allowed
@@ -166,7 +167,7 @@ def test_walks_within_limits_begin_on_corners(monkeypatch):
     impossible = corners_of(NARROW)[7]
     _, found = step_region.walk_within(
         ROBOT,
-        None,
+        cast(Policy, None),  # nobody walks
         NARROW,
         lambda steps: ~np.isclose(steps, impossible).all(axis=1),
         count=200,
