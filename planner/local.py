@@ -9,21 +9,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner import search
-from planner.body_path import is_nearer
-from planner.guide import MOVES
 from planner.search import Heuristic
-from planner.space import Int64s, Space, to_grid
+from planner.space import Int64s
+from planner.spread import EVERYWHERE, NO_CELLS, NOT_DRAWN, moves_of, spread_costs
 from planner.task import Task
 from planner.toward import Toward
 
-NOWHERE_UM = 1 << 30
-_SHUT_CELL = -1
 _BEYOND = 8  # least moves by which the path costs reach beyond the cells asked for
-_RIM = 2  # cells at the edge of the lattice where no body is
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,22 +114,22 @@ def _heuristic(
     potential_um = tables.potential.potential_um.reshape(-1)
     cost_um = np.zeros(space.cols * space.rows, np.int32)
     wanted = np.unique(roots // rows + toward.body_cell[roots % rows])
-    guide = tables.potential
-    d_cell = MOVES[:, 1] * space.cols + MOVES[:, 0]
-    everywhere = np.zeros(0, np.uint8)
-    reached_um = spread_to(
+    reached_um = spread_costs(
         space,
         cost_um,
         target.cells,
-        wanted,
-        everywhere if mask is None else mask,
-        (d_cell, guide.move_um, guide.reach_m),
+        np.zeros(len(target.cells), np.int64),
+        moves_of(space, tables.potential),
+        wanted if mask is None else NO_CELLS,
+        _BEYOND,
+        EVERYWHERE if mask is None else mask,
+        NOT_DRAWN,
     )
     knows_end = target.is_goal and toward.region.is_point
     endgame = tables.endgame
     return Heuristic(
         cost_um,
-        reached_um if mask is None else NOWHERE_UM,
+        reached_um,
         toward.body_cell,
         potential_um if target.is_goal else potential_um - potential_um.min(),
         endgame.cost_um if knows_end else np.zeros((1, 1, rows), np.int32),
@@ -144,82 +139,3 @@ def _heuristic(
         np.zeros((0, 4), np.int64),
         space.cols + space.rows,  # no exit bound: all is within the circle
     )
-
-
-@njit(cache=True)
-def spread_to(
-    space: Space,
-    cost_um: NDArray[np.int32],
-    seeds: Int64s,
-    wanted: Int64s,
-    mask: NDArray[np.uint8],
-    rules: tuple[Int64s, Int64s, float],
-) -> int:
-    """Path costs + 1 from the seeds until one of the wanted cells has its own, and some way on.
-
-    No cell that has none costs less than what is returned. mask: cells that count, (0,) for all;
-    with a mask the costs spread over all of it. A ring of buckets one least move wide.
-    """
-    d_cell, move_um, reach_m = rules
-    width = move_um.min()
-    ring = int(move_um.max() // width) + 2
-    head = np.full(ring, -1, np.int64)
-    after = np.empty(1 << 12, np.int64)
-    cells = np.empty(1 << 12, np.int64)
-    used = 0
-    for i in range(len(seeds)):
-        if not cell_shut(space, seeds[i], reach_m):
-            if used == len(cells):
-                cells = np.concatenate((cells, np.empty_like(cells)))
-                after = np.concatenate((after, np.empty_like(after)))
-            cost_um[seeds[i]] = 1
-            cells[used], after[used], head[0] = seeds[i], head[0], used
-            used += 1
-    waiting, bucket, last = used, 0, -1
-    while waiting > 0 and (last < 0 or bucket <= last):
-        entry = head[bucket % ring]
-        head[bucket % ring] = -1
-        while entry >= 0:
-            cell = cells[entry]
-            entry = after[entry]
-            waiting -= 1
-            here = cost_um[cell] - 1
-            if here // width != bucket:
-                continue
-            for move in range(len(d_cell)):
-                near = cell + d_cell[move]
-                there = here + move_um[move] + 1
-                old = cost_um[near]
-                if old == 0 and (
-                    (len(mask) > 0 and mask[near] == 0) or cell_shut(space, near, reach_m)
-                ):
-                    cost_um[near] = _SHUT_CELL
-                    continue
-                if old == _SHUT_CELL or (old != 0 and old <= there):
-                    continue
-                cost_um[near] = there
-                if used == len(cells):
-                    cells = np.concatenate((cells, np.empty_like(cells)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                slot = (there - 1) // width % ring
-                cells[used], after[used], head[slot] = near, head[slot], used
-                used += 1
-                waiting += 1
-        if len(mask) == 0 and last < 0:
-            for i in range(len(wanted)):
-                if cost_um[wanted[i]] > 0:
-                    last = bucket + _BEYOND
-        bucket += 1
-    return bucket * width if waiting > 0 else NOWHERE_UM
-
-
-@njit(cache=True)
-def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
-    """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
-    row, col = cell // space.cols, cell % space.cols
-    if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
-        return True
-    x, y = to_grid(
-        space, (col - space.origin_col) * space.cell_m, (row - space.origin_row) * space.cell_m
-    )
-    return is_nearer(space.terrain, x, y, reach_m)

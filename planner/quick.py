@@ -95,5 +95,6 @@ def _lift(request: Request, path: Strip, start: int) -> int:
     the heuristic would go along the border between the two and look everywhere outside first.
     """
     endgame, facing = request.toward.tables.endgame, request.toward.tables.facing
-    rules = path.straight_um, endgame.inside, facing.arrive_um
-    return raise_by_arrival(request.space, path.cost_um, start, *rules)
+    space = request.space
+    goal = path.ahead._replace(col=space.origin_col, row=space.origin_row, slack_um=0)
+    return raise_by_arrival(space, path.cost_um, start, goal, endgame.inside, facing.arrive_um)

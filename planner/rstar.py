@@ -24,11 +24,12 @@ import numpy as np
 from planner.ara import Run
 from planner.exits import straight_cost
 from planner.lattice import final_cost_um
-from planner.local import Found, Target, cell_shut, search_to, target_around
+from planner.local import Found, Target, search_to, target_around
 from planner.options import PlannerOptions
 from planner.quick import QuickPath
 from planner.request import Request, Result, first_nodes, no_first_step
 from planner.space import Int64s
+from planner.spread import cell_shut
 from planner.task import forward_task, least_toward_goal
 from planner.toward import body_cells_of
 
