@@ -14,6 +14,7 @@ import math
 import resource
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -86,6 +87,15 @@ class Rows:
     wrong: int
 
 
+def queries_by_map(
+    folder: Path, maps: tuple[str, ...], count: int
+) -> Iterator[tuple[str, OccupancyGrid, list[dict[str, Any]]]]:
+    """Name, grid and the first queries of a folder's maps: of those named, or of all."""
+    document = json.loads((folder / "queries.json").read_text(encoding="utf-8"))
+    for name in maps or document:
+        yield name, load_map(folder / document[name]["map"]), document[name]["queries"][:count]
+
+
 def timed(planner: Planner, query: dict[str, Any]) -> tuple[FootstepPlan, float]:
     """A plan and its CPU time in seconds."""
     began = time.process_time()
@@ -156,15 +166,12 @@ def row_of(name: str, rows: Rows) -> str:
 def main() -> None:
     """Runs the benchmark and prints its table."""
     arguments = tyro.cli(Arguments)
-    document = json.loads((arguments.folder / "queries.json").read_text(encoding="utf-8"))
     print(
         "| map | first plan, ms, median / p95 | its cost over optimum | to epsilon 1, ms, "
         "median / p95 (proven) | optimum over best known | expansions | wrong plans |"
     )
     print("|---|---|---|---|---|---|---|")
-    for name in arguments.maps or document:
-        grid = load_map(arguments.folder / document[name]["map"])
-        queries = document[name]["queries"][: arguments.count]
+    for name, grid, queries in queries_by_map(arguments.folder, arguments.maps, arguments.count):
         print(row_of(name, run_map(grid, queries, arguments)), flush=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"peak memory {peak:.0f} MB")

@@ -10,7 +10,6 @@ the first plan come before. Every plan is checked by exact polygons.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from dataclasses import dataclass
@@ -20,9 +19,8 @@ from typing import Annotated
 import numpy as np
 import tyro
 
-from benchmarks.planner import ROBOT
+from benchmarks.planner import ROBOT, queries_by_map
 from maps.grid import Cell, OccupancyGrid
-from maps.reader import load_map
 from planner.api import Planner
 from planner.model import Side
 from planner.options import PlannerOptions
@@ -134,14 +132,13 @@ def row_of(name: str, grid: OccupancyGrid, queries: list[dict], arguments: Argum
 def main() -> None:
     """Runs the benchmark and prints its table."""
     arguments = tyro.cli(Arguments)
-    document = json.loads((arguments.folder / "queries.json").read_text(encoding="utf-8"))
     print(
         "| map | planner | replans | ms, median / p95 / max | expansions | searched | bound "
         "| wrong plans | lost |\n|---|---|---|---|---|---|---|---|---|"
     )
-    for map_name in arguments.maps or document:
-        grid = load_map(arguments.folder / document[map_name]["map"])
-        queries = document[map_name]["queries"][: arguments.count]
+    for map_name, grid, queries in queries_by_map(
+        arguments.folder, arguments.maps, arguments.count
+    ):
         for name in arguments.names:
             print(f"| {map_name} | `{name}` | {row_of(name, grid, queries, arguments)}", flush=True)
 

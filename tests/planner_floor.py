@@ -1,4 +1,4 @@
-"""A small floor for tests of the planner's parts: empty, with boxes, and a plan over it."""
+"""Small floors for tests of the planner, queries on them, robots, and plans made comparable."""
 
 from __future__ import annotations
 
@@ -6,20 +6,64 @@ import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
 from planner.api import plan_footsteps
+from planner.model import StepModel
 from planner.plan import FootstepPlan
 from tests.planner_oracle import small_model
 
-FLOOR = OccupancyGrid(cells=np.zeros((30, 40), np.uint8), resolution_m=0.1)
+
+def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1):
+    """A free floor with blocked boxes (row0, col0, row1, col1), ends excluded."""
+    cells = np.zeros((rows, cols), np.uint8)
+    for row0, col0, row1, col1 in boxes:
+        cells[row0:row1, col0:col1] = Cell.OCCUPIED
+    return OccupancyGrid(cells=cells, resolution_m=resolution_m, origin=origin)
+
+
+FLOOR = walled(30, 40)
 
 
 def blocked_at(*boxes: tuple[int, int, int, int]) -> OccupancyGrid:
-    """The floor with blocked boxes (row0, col0, row1, col1), ends excluded."""
-    cells = np.zeros((30, 40), np.uint8)
-    for row0, col0, row1, col1 in boxes:
-        cells[row0:row1, col0:col1] = Cell.OCCUPIED
-    return FLOOR.with_cells(cells)
+    """FLOOR with blocked boxes (row0, col0, row1, col1), ends excluded."""
+    return walled(30, 40, boxes)
 
 
 def small_plan() -> FootstepPlan:
     """A plan over the empty floor, turning."""
     return plan_footsteps(FLOOR, small_model(), start=(1.0, 1.0, 0.2), goal=(2.5, 1.8, 1.0))
+
+
+# A wall with a way around its upper end.
+WALL = ((0, 11, 15, 12),)
+CASES = {
+    "empty": (walled(), (0.55, 0.6, 0.3), (1.7, 1.5, 2.0)),
+    "wall": (walled(boxes=WALL), (0.55, 0.6, 0.3), (1.8, 0.7, -1.2)),
+    "posts": (
+        walled(boxes=((8, 8, 9, 9), (14, 12, 16, 13), (5, 15, 6, 18))),
+        (0.4, 0.4, 1.0),
+        (1.9, 1.9, 0.1),
+    ),
+    "slanted map": (
+        walled(boxes=WALL, origin=(-1.0, 2.0, 0.6)),
+        (-0.885, 2.806, 0.9),
+        (0.09, 3.594, 2.0),
+    ),
+}
+
+
+def fine_model(**changes) -> StepModel:
+    """The small robot on a finer lattice, which keeps off walls, at a cost within 0.2 m of them."""
+    fields = {
+        "cell_m": 0.05,
+        "headings": 16,
+        "foot_margin_m": 0.01,
+        "body_margin_m": 0.02,
+        "clearance_cost_m": 0.05,
+        "clearance_m": 0.2,
+        **changes,
+    }
+    return small_model(**fields)
+
+
+def repeatable(plan: FootstepPlan) -> str:
+    """The plan as text without its times."""
+    return plan.to_json().split('"time_to')[0]

@@ -229,3 +229,10 @@ class Oracle:
             for step, source in before[node]:
                 heapq.heappush(heap, (cost + step, source))
         return costs
+
+
+def oracle_node(space, node: int) -> Node:
+    """The oracle's node of a node of a search's space."""
+    cell, row = divmod(node, 2 * space.headings)
+    up, across = divmod(cell, space.cols)
+    return across - space.origin_col, up - space.origin_row, row // 2, row % 2

@@ -1,12 +1,7 @@
-"""The command line as a person meets it: exit codes, one line for each mistake, no traceback."""
+"""The command line as a person meets it: exit codes, one line for each mistake."""
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -19,7 +14,9 @@ from app.commands import COMMANDS
 from app.errors import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent
+
 ROOM = str(ROOT / "maps" / "room.png")
+
 GOAL = ("--goal", "2,1,1.57")
 
 
@@ -76,64 +73,6 @@ def write_map(tmp_path):
         return str(tmp_path / "map.png")
 
     return write
-
-
-def test_a_plan_as_a_document(capsys):
-    assert main(("plan", "--map", ROOM, *GOAL, "--json")) == ExitCode.DONE
-    out, err = capsys.readouterr()
-    assert err == ""
-    plan = json.loads(out)
-    assert plan["format"] == "footstep-plan/1"
-    assert plan["status"] == "found"
-    assert (plan["robot"], plan["map"]) == ("jvrc1", ROOM)
-    assert (plan["start"], plan["goal"]) == ([0, 0, 0], [2, 1, 1.57])
-    # The last two steps are the feet at the goal: their middle is the goal.
-    last = np.array([[step[key] for key in ("x", "y", "yaw")] for step in plan["steps"][-2:]])
-    np.testing.assert_allclose(last.mean(axis=0), [2, 1, 1.57], atol=1e-9)
-
-
-def test_a_plan_as_files(tmp_path, capsys):
-    out, image = tmp_path / "plan.json", tmp_path / "plan.png"
-    words = ("plan", "--map", ROOM, *GOAL, "--out", str(out), "--image", str(image))
-    assert main(words) == ExitCode.DONE
-    assert "steps, cost" in capsys.readouterr().out
-    assert json.loads(out.read_text())["status"] == "found"
-    picture = cv2.imread(str(image))
-    assert picture is not None
-    assert min(picture.shape[:2]) >= 200
-
-
-def test_what_refinement_saves_is_told_and_drawn(tmp_path, capsys):
-    out, image = tmp_path / "plan.json", tmp_path / "refinement.png"
-    words = ("plan", "--map", ROOM, *GOAL, "--out", str(out))
-    assert main((*words, "--refine-image", str(image))) == ExitCode.DONE
-    refined = json.loads(out.read_text())
-    before_m = refined["cost_before_refinement_m"]
-    assert refined["cost_m"] < before_m
-    assert f"refined from {before_m:.2f} m" in capsys.readouterr().out
-    picture = cv2.imread(str(image))
-    assert picture is not None
-    # Two maps side by side.
-    assert picture.shape[1] > 1.5 * picture.shape[0]
-    assert main((*words, "--no-refine")) == ExitCode.DONE
-    assert "refined" not in capsys.readouterr().out
-    searched = json.loads(out.read_text())
-    assert searched["cost_before_refinement_m"] is None
-    assert searched["cost_m"] == before_m
-
-
-def test_a_picture_of_refinement_needs_refinement(capsys):
-    words = ("plan", "--map", ROOM, *GOAL, "--refine-image", "x.png", "--no-refine")
-    assert main(words) == ExitCode.BAD_INPUT
-    assert "--no-refine" in capsys.readouterr().err
-
-
-def test_the_document_says_when_there_is_no_plan(tmp_path, capsys):
-    words = ("plan", "--map", ROOM, "--goal", "99,0,0", "--json", "--out", str(tmp_path / "p"))
-    assert main(words) == ExitCode.NO_PLAN
-    out = capsys.readouterr().out
-    assert json.loads(out)["status"] == "off_map"
-    assert (tmp_path / "p").read_text() == out
 
 
 @pytest.mark.parametrize("command", ["plan", "navigate"])
@@ -260,74 +199,3 @@ def test_the_overview_names_every_command(capsys):
     assert main(("--help",)) == ExitCode.DONE
     assert capsys.readouterr().out == overview() + "\n"
     assert all(f"\n  {name} " in overview() for name in COMMANDS)
-
-
-def run_program(*words: str, **options) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *options.pop("python", ()), str(ROOT / "main.py"), *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
-
-
-def test_planning_loads_neither_torch_nor_mujoco():
-    done = run_program("plan", "--map", ROOM, *GOAL, python=("-X", "importtime"))
-    assert done.returncode == ExitCode.DONE
-    loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "planner.api" in loaded
-    heavy = {"torch", "mujoco", "matplotlib", "av", "gymnasium"}
-    assert loaded & heavy == set()
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_loads_no_simulator(name):
-    done = run_program(*name.split(), "--help", python=("-X", "importtime"))
-    assert done.returncode == ExitCode.DONE
-    assert "--robot" in done.stdout
-    loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert loaded & {"torch", "mujoco", "numba"} == set()
-
-
-def test_it_runs_from_anywhere(tmp_path):
-    done = run_program("plan", "--map", ROOM, *GOAL, "--out", "plan.json", cwd=tmp_path)
-    assert done.returncode == ExitCode.DONE, done.stderr
-    assert (tmp_path / "plan.json").is_file()
-
-
-def test_a_reader_that_leaves_early_is_no_trouble():
-    command = f"'{sys.executable}' '{ROOT}/main.py' plan --map '{ROOM}' --goal 2,1,1.57 --json"
-    done = subprocess.run(
-        ["bash", "-c", f"{command} | true; exit ${{PIPESTATUS[0]}}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-STALL = """
-import os, signal, sys, threading
-import app.plan
-from app.cli import main
-def stall(options):
-    print("stalled", flush=True)
-    threading.Event().wait(60)
-app.plan.run = stall
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-def test_ctrl_c_ends_in_one_line():
-    words = ["plan", "--map", ROOM, *GOAL]
-    with subprocess.Popen(
-        [sys.executable, "-c", STALL, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        # A shell that runs the tests in the background lets its children ignore Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "stalled\n"
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=300)
-    assert (process.returncode, err) == (ExitCode.INTERRUPTED, "interrupted\n")

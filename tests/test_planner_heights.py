@@ -1,4 +1,4 @@
-"""Plans on floors that are not flat: against the oracle, by hand, and the laws of height."""
+"""Plans on floors that are not flat: against the oracle, and the laws of height."""
 
 from __future__ import annotations
 
@@ -8,59 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from maps.grid import Cell, OccupancyGrid
-from maps.reader import load_map
+from maps.grid import OccupancyGrid
 from planner.api import Planner, plan_footsteps
-from planner.collision import NO_GROUND_UM, terrain_of
 from planner.flood import Verdict, new_flood, spread
-from planner.ground import box_heights, heights_below, highest_between, resting_heights
-from planner.model import Side, StepLimits
-from planner.picture import draw_plan
+from planner.model import Side
 from planner.plan import PlanStatus, feet_at
 from planner.verify import violations
-from sim.robots import get_robot
 from tests.planner_oracle import Oracle, small_model
-
-LIMITS = StepLimits(x_m=(-0.2, 0.3), y_m=(0.14, 0.4), yaw_rad=(-0.4, 0.8), z_m=(-0.1, 0.1))
-CLIMBER = small_model(limits=LIMITS, level_margin_m=0.0)
-
-
-def floor(*treads, rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1):
-    """A floor at 0 with treads (row0, col0, row1, col1, height) and blocked boxes."""
-    heights = np.zeros((rows, cols))
-    for row0, col0, row1, col1, height in treads:
-        heights[row0:row1, col0:col1] = height
-    cells = np.zeros((rows, cols), np.uint8)
-    for row0, col0, row1, col1 in boxes:
-        cells[row0:row1, col0:col1] = Cell.OCCUPIED
-    return OccupancyGrid(cells=cells, resolution_m=resolution_m, origin=origin, elevation_m=heights)
-
-
-STAIRS = ((0, 9, 24, 24, 0.1), (0, 12, 24, 24, 0.2), (0, 15, 24, 24, 0.3))
-CLIFF = ((0, 11, 24, 24, 0.2), (15, 8, 24, 11, 0.1))
-KERB = ((0, 11, 15, 12, 0.08),)
-CASES = {
-    "stairs": (floor(*STAIRS), (0.45, 1.13, 0.1), (1.93, 1.22, 0.0)),
-    "stairs that no foot fits": (floor(*STAIRS), (0.45, 1.13, 0.1), (1.95, 1.22, 0.4)),
-    "down": (floor(*STAIRS), (1.95, 1.22, 2.9), (0.45, 1.13, 3.0)),
-    "slanted stairs": (
-        floor(*STAIRS, origin=(-1.0, 2.0, 0.6)),
-        (-1.28, 3.17, 0.7),
-        (-0.09, 4.09, 0.8),
-    ),
-    "a cliff with a step beside it": (floor(*CLIFF), (0.5, 0.6, 0.3), (1.75, 0.7, 0.0)),
-    "a kerb to go around": (floor(*KERB), (0.52, 0.6, 0.3), (1.83, 0.71, -0.3)),
-    "a trench": (
-        floor((0, 24, 48, 25, -0.4), rows=48, cols=48, resolution_m=0.05),
-        (0.52, 1.1, 0.0),
-        (1.86, 1.2, 0.0),
-    ),
-    "walls on the treads": (
-        floor(*STAIRS, boxes=((0, 10, 7, 14),)),
-        (0.45, 0.6, 0.1),
-        (1.93, 0.82, 0.0),
-    ),
-}
+from tests.planner_treads import CASES, CLIMBER, LIMITS, floor
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -150,74 +105,6 @@ def test_limits_without_level_steps_are_refused(z_m):
         replace(LIMITS, z_m=z_m)
 
 
-# Heights by hand: a floor of 4 x 4 m in cells of 0.1 m, 0.3 m high from x = 2 on, a post 1 m high
-# on the cell [1, 1.1) x [1, 1.1), a blocked cell beside it.
-HAND = floor(
-    (0, 20, 40, 40, 0.3), (10, 10, 11, 11, 1.0), rows=40, cols=40, boxes=((10, 11, 11, 12),)
-)
-
-
-@pytest.mark.parametrize(
-    ("x", "y", "yaw", "half_l", "half_w", "expected_m"),
-    [
-        (1.5, 3.0, 0.0, 0.3, 0.2, (0.0, 0.0)),
-        (2.5, 3.0, 0.0, 0.3, 0.2, (0.3, 0.3)),
-        (1.95, 3.0, 0.0, 0.3, 0.2, (0.0, 0.3)),
-        (1.79, 3.0, 0.0, 0.2, 0.1, (0.0, 0.0)),  # ends at 1.99
-        (1.81, 3.0, 0.0, 0.2, 0.1, (0.0, 0.3)),  # ends at 2.01
-        (1.81, 3.0, math.pi / 2, 0.2, 0.1, (0.0, 0.0)),  # turned it ends at 1.91
-        (1.84, 3.0, math.pi / 4, 0.2, 0.01, (0.0, 0.0)),  # 0.21 cos 45 = 0.149: ends at 1.989
-        (1.86, 3.0, math.pi / 4, 0.2, 0.01, (0.0, 0.3)),
-        (1.05, 1.05, 0.0, 0.04, 0.04, (1.0, 1.0)),
-        (1.05, 1.05, 0.0, 0.06, 0.04, (0.0, 1.0)),
-        (1.13, 1.05, 0.0, 0.02, 0.04, None),  # blocked ground only
-        (0.1, 0.1, 0.3, 0.5, 0.5, (0.0, 0.0)),  # partly off the map
-        (-9.0, 0.1, 0.0, 0.5, 0.5, None),
-    ],
-)
-def test_heights_under_a_box_by_hand(x, y, yaw, half_l, half_w, expected_m):
-    box = x, y, math.cos(yaw), math.sin(yaw), half_l, half_w
-    expected = (NO_GROUND_UM,) * 2 if expected_m is None else tuple(1e6 * v for v in expected_m)
-    assert box_heights(terrain_of(HAND, False), *box) == expected
-
-
-@pytest.mark.parametrize(
-    ("start", "end", "yaw", "expected_m"),
-    [
-        # A sole of 0.2 x 0.1 m, walking along x past the post at y 1.0 to 1.1.
-        ((0.5, 1.17), (1.5, 1.17), 0.0, 0.0),  # its side is at 1.12
-        ((0.5, 1.14), (1.5, 1.14), 0.0, 1.0),  # at 1.09
-        ((0.5, 1.19), (1.5, 1.19), math.pi / 2, 1.0),  # walking sideways, its toes are at 1.09
-        ((0.5, 1.05), (0.95, 1.05), 0.0, 0.0),  # the strip ends at the foot's centre
-        ((1.5, 3.0), (1.95, 3.0), 0.0, 0.0),
-        ((1.5, 3.0), (2.05, 3.0), 0.0, 0.3),
-        ((1.05, 1.05), (1.05, 1.05), 0.0, None),  # no way at all
-    ],
-)
-def test_ground_on_the_way_of_a_foot_by_hand(start, end, yaw, expected_m):
-    top = highest_between(
-        terrain_of(HAND, False), start, end, math.cos(yaw), math.sin(yaw), (0.1, 0.05)
-    )
-    assert top == (NO_GROUND_UM if expected_m is None else expected_m * 1e6)
-
-
-def test_a_measured_foot_rests_on_what_is_nearest_to_its_own_height():
-    terrain = terrain_of(HAND, False)
-    # Soles of 0.2 x 0.1 m: on the floor, on the step, across its edge, and beside the map.
-    feet = np.array(
-        [
-            [1.0, 3.0, 0.02, 0.0],
-            [2.5, 3.0, 0.28, 0.0],
-            [2.05, 3.0, 0.29, 0.0],
-            [1.95, 3.0, 0.01, 0.0],
-            [-5.0, 3.0, 0.7, 0.0],
-        ]
-    )
-    rests = resting_heights(HAND, terrain, CLIMBER, feet)
-    assert rests.tolist() == [0.0, 0.3, 0.3, 0.0, 0.7]
-    assert heights_below(HAND, terrain, CLIMBER, feet)[2].tolist() == [0.0, 0.3]
-
-
 def test_planning_goes_on_from_feet_measured_on_the_stairs():
     grid, start, goal = CASES["stairs"]
     plan = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
@@ -276,77 +163,6 @@ def test_the_floods_meet_just_where_there_is_a_plan(name):
     while verdict is Verdict.OPEN:
         flood, verdict = spread(space, flood, 7)
     assert (verdict is Verdict.MET) == plan.found
-
-
-STAIRS_MAP = load_map("maps/stairs.yaml")
-
-
-@pytest.mark.parametrize(
-    ("start", "goal", "z_m"),
-    [
-        ((0.0, 0.0, 0.0), (8.0, 0.0, 0.0), 0.0),
-        ((8.5, -1.2, 2.0), (-0.6, 1.1, -1.3), 0.0),
-        ((0.3, 0.9, 1.0), (4.1, 0.1, 1.57), 0.6),
-        ((4.1, 0.0, 0.0), (8.3, 1.0, -2.0), 0.0),
-    ],
-)
-@pytest.mark.parametrize("name", ["jvrc1", "hrp5p"])
-def test_stairs_are_walked_with_feet_well_inside_the_treads(name, start, goal, z_m):
-    model = get_robot(name).step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=start, goal=goal)
-    assert plan.found
-    assert violations(plan, STAIRS_MAP, model) == []
-    assert (plan.pose_world[-2:, 2] == z_m).all()
-    assert np.ptp(plan.pose_world[:, 2]) >= 0.5
-    rises = np.abs(np.diff(plan.pose_world[:, 2]))
-    assert rises.max() == pytest.approx(0.1)
-    # Corners of the soles keep off the edges at x = 2.0, 2.3 ... 3.5 and 4.7 ... 6.2.
-    edges_m = np.concatenate([2.0 + 0.3 * np.arange(6), 4.7 + 0.3 * np.arange(6)])
-    x, half_l, half_w = plan.pose_world[:, 0], model.foot.length_m / 2, model.foot.width_m / 2
-    yaw = plan.pose_world[:, 3]
-    reach = np.abs(np.cos(yaw)) * half_l + np.abs(np.sin(yaw)) * half_w
-    gaps = np.abs(x[:, None] - edges_m) - reach[:, None]
-    assert gaps.min() >= model.level_margin_m - 1e-6
-
-
-def test_a_robot_that_does_not_climb_is_told_so():
-    model = replace(get_robot("jvrc1").step_model, limits=replace(LIMITS, z_m=(-0.01, 0.01)))
-    model = replace(model, steps=((0.3, 0.2, 0.0), (0.0, 0.2, 0.0), (0.0, 0.2, 0.3)))
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(8, 0, 0))
-    assert plan.status is PlanStatus.NO_PATH
-    assert plan.reason.endswith("steps go from -0.01 to 0.01 m")
-
-
-def test_the_independent_check_finds_wrong_heights():
-    model = get_robot("jvrc1").step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(4.1, 0, 0))
-    poses = plan.pose_world.copy()
-    poses[-5, 2] += 0.01
-    lines = violations(replace(plan, pose_world=poses), STAIRS_MAP, model)
-    assert any("is not the height of the ground" in line for line in lines)
-    assert any("rise 0.1100 is outside" in line for line in lines)
-    poses = plan.pose_world.copy()
-    poses[-5, 0] += 0.06
-    assert any(
-        "is not level" in line
-        for line in violations(replace(plan, pose_world=poses), STAIRS_MAP, model)
-    )
-    flat = replace(STAIRS_MAP, elevation_m=None)
-    assert any("flat floor" in line for line in violations(plan, flat, model))
-
-
-def test_the_picture_shades_the_floor_by_its_height():
-    model = get_robot("jvrc1").step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(0.5, 0, 0))
-    image = draw_plan(plan, STAIRS_MAP, model)
-    scale = image.shape[1] / STAIRS_MAP.size_m[0]
-
-    def shade(x_m):
-        return int(image[round((2.5 - 0.55) * scale), round((x_m + 2.0) * scale)].sum())
-
-    shades = [shade(1.85 + 0.3 * i) for i in range(7)]
-    assert all(np.diff(shades) < 0)
-    assert shade(-1.15) == shades[0]
 
 
 def test_feet_may_stand_at_two_heights_where_the_robot_has_got_to_but_not_at_a_goal():

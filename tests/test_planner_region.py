@@ -14,8 +14,8 @@ from planner.api import Planner, plan_footsteps
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at, pair_pose
 from planner.verify import violations
-from tests.planner_oracle import Oracle, small_model
-from tests.test_planner_search import CASES, oracle_node, walled
+from tests.planner_floor import CASES, walled
+from tests.planner_oracle import Oracle, oracle_node, small_model
 
 # Two or three cells of 0.1 m around the goal, and a heading of an eighth turn to either side.
 REACH = (0.25, 0.8)

@@ -16,8 +16,8 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
 from planner.search import FROM_START
 from planner.verify import violations
+from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, small_model
-from tests.test_planner_search import CASES, walled
 
 KEPT = PlannerOptions(name="adstar")
 PROVEN = replace(KEPT, improve_expansions=None)

@@ -10,17 +10,12 @@ from planner.model import StepModel
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.verify import violations
+from tests.planner_floor import CASES, repeatable, walled
 from tests.planner_oracle import Oracle, small_model
-from tests.test_planner_search import CASES, walled
 
 
 def rstar(**changes):
     return PlannerOptions(name="rstar", **changes)
-
-
-def repeatable(plan):
-    """The plan as text without its times."""
-    return plan.to_json().split('"time_to')[0]
 
 
 @pytest.mark.parametrize("first", [True, False])

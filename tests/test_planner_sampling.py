@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maps.grid import Cell, OccupancyGrid
+from maps.grid import Cell
 from maps.reader import load_map
 from planner.api import Planner, plan_footsteps
 from planner.lattice import step_cost_um
@@ -19,22 +19,10 @@ from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import PlanStatus, relative_step
 from planner.verify import violations
 from sim.robots import get_robot
+from tests.planner_floor import fine_model, repeatable, walled
 from tests.planner_oracle import Oracle, small_model
 
 STAIRS = Path(__file__).resolve().parent.parent / "maps" / "stairs.yaml"
-
-
-def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1):
-    """A free floor with blocked boxes (row0, col0, row1, col1), ends excluded."""
-    cells = np.zeros((rows, cols), np.uint8)
-    for row0, col0, row1, col1 in boxes:
-        cells[row0:row1, col0:col1] = Cell.OCCUPIED
-    return OccupancyGrid(cells=cells, resolution_m=resolution_m, origin=origin)
-
-
-def repeatable(plan):
-    """The plan as text without its times."""
-    return plan.to_json().split('"time_to')[0]
 
 
 # A wall with a way around its upper end, on a map that is turned and shifted, so that no frame
@@ -108,14 +96,7 @@ def test_plans_among_random_obstacles_are_right(seed):
         cells[row : row + height, col : col + width] = Cell.OCCUPIED
     cells[:, 50:] = Cell.UNKNOWN
     grid = grid.with_cells(cells)
-    model = small_model(
-        cell_m=0.05,
-        headings=16,
-        foot_margin_m=0.01,
-        body_margin_m=0.02,
-        clearance_cost_m=0.05,
-        clearance_m=0.2,
-    )
+    model = fine_model()
     name = SAMPLING_PLANNERS[seed]
     found = 0
     for unknown_is_free in (False, True):

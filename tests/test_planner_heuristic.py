@@ -1,0 +1,123 @@
+"""The heuristics and the quick search against exact costs of a slow oracle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from planner import search
+from planner.api import Planner, _to_lattice
+from planner.options import PlannerOptions
+from planner.plan import feet_at
+from planner.quick import quick_path
+from planner.request import Request, first_nodes
+from planner.task import heuristic_toward_start
+from tests.planner_floor import CASES
+from tests.planner_oracle import Oracle, oracle_node, small_model
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_heuristic_is_never_above_the_exact_cost(name):
+    grid, start, goal = CASES[name]
+    model = small_model()
+    planner = Planner(grid, model)
+    assert planner.plan(start=start, goal=goal).found
+    assert planner._toward is not None
+    space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
+    oracle = Oracle(grid, model, goal)
+    exact = oracle.costs_to_go(start)
+    assert len(exact) > 500
+    estimates = {node: estimated_m(space, heuristic, node) for node in exact}
+    tight = 0
+    for node, cost_m in exact.items():
+        assert estimates[node] <= cost_m + 1e-5
+        tight += estimates[node] > 0.8 * cost_m
+    assert tight > 0.5 * len(exact)
+    for side in (0, 1):
+        assert estimates[0, 0, 0, side] == pytest.approx(0.3)
+
+
+def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
+    # Without the table near the goal, which would hide an error of the body's path.
+    grid, start, goal = CASES["wall"]
+    model = small_model()
+    planner = Planner(grid, model)
+    tables = planner._tables
+    endgame = replace(
+        tables.endgame,
+        cost_um=np.full_like(tables.endgame.cost_um, 0),
+        cap_um=0,
+        ring=np.zeros((0, 3), np.int64),
+    )
+    # Nor the bound that looks to the rim of a circle.
+    exits = replace(tables.exits, radius_cells=10**6)
+    planner._tables = tables._replace(endgame=endgame, exits=exits)
+    planner.plan(start=start, goal=goal)
+    assert planner._toward is not None
+    space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
+    oracle = Oracle(grid, model, goal)
+    exact = oracle.costs_to_go(start)
+    assert len(exact) > 500
+    detours = []
+    for node, cost_m in exact.items():
+        estimate = estimated_m(space, heuristic, node)
+        assert estimate <= cost_m + 1e-5
+        for step, to in oracle.edges(node):
+            assert estimate <= step + estimated_m(space, heuristic, to) + 1e-5
+        straight_m = math.hypot(node[0], node[1]) * model.cell_m
+        detours.append(estimate - tables.potential.rate * straight_m)
+    # Left of the wall the way around its end costs that much more than straight through it.
+    assert max(detours) > 0.6
+
+
+def estimated_m(space, heuristic, node):
+    col, row, heading, side = node
+    cell = (row + space.origin_row) * space.cols + col + space.origin_col
+    return search.estimate(space, heuristic, (cell * space.headings + heading) * 2 + side) / 1e6
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name):
+    grid, start, goal = CASES[name]
+    model = small_model()
+    oracle = Oracle(grid, model, goal)
+    request = request_of(grid, model, start, goal)
+    nodes, costs_um = first_nodes(request)
+    heuristic = heuristic_toward_start(request, nodes, costs_um)
+    known = {oracle_node(request.space, int(node)) for node in nodes}
+    # The search keeps the feet a little farther apart in the first step than the oracle does.
+    cost_m = oracle.costs_from(
+        [(m, node) for m, node in oracle.first_steps(start) if node in known]
+    )
+    assert len(cost_m) > 500
+    for node, exact_m in cost_m.items():
+        assert estimated_m(request.space, heuristic, node) <= exact_m + 1e-5
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
+    grid, start, goal = CASES[name]
+    model = small_model()
+    best_m = Oracle(grid, model, goal).best_cost(start)
+    request = request_of(grid, model, start, goal)
+    quick = quick_path(request, *first_nodes(request), PlannerOptions())
+    assert quick is not None
+    assert quick.least_um / 1e6 <= best_m + 1e-5
+    assert quick.cost_um / 1e6 >= best_m - 1e-5
+
+
+def request_of(grid, model, start, goal):
+    planner = Planner(grid, model)
+    planner.plan(start=start, goal=goal)
+    assert planner._toward is not None
+    feet = feet_at(start, model.stance_width_m)
+    return Request(
+        toward=planner._toward[1],
+        feet_lattice=_to_lattice(feet, goal),
+        feet_m=np.zeros(2),
+        stands=False,
+        first_side=None,
+    )

@@ -1,0 +1,178 @@
+"""The parts of refinement by numbers: costs, slopes, room, gaps, the banded system."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+
+from maps.grid import OccupancyGrid
+from planner.api import Planner
+from planner.barrier import add, new_work, note_costs, note_rules, take_block
+from planner.chain import build_rules, chain_cost_um, foot_height_um, gap_axis, step_between
+from planner.collision import terrain_of
+from planner.keep_off import WAYS, room_off_blocked
+from planner.lattice import feet_apart
+from planner.model import Side
+from planner.relax import _solve
+from tests.planner_oracle import small_model
+from tests.planner_refined import (
+    FLOOR,
+    LATTICE,
+    random_floor,
+    shy_model,
+)
+
+
+def test_the_cost_of_a_chain_is_that_of_the_search():
+    grid, rng = random_floor(2)
+    model = shy_model(clearance_cost_m=0.0)
+    compared = 0
+    while compared < 4:
+        start, goal = rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (2, 3))
+        planner = Planner(grid, model, LATTICE)
+        plan = planner.plan(start=start, goal=goal)
+        if not plan.found or not len(plan) or planner._toward is None:
+            continue
+        rules, poses, outward = chain_of(planner, plan)
+        assert chain_cost_um(rules, poses, outward) == pytest.approx(plan.cost_m * 1e6, abs=2)
+        # A foot in a wall, or a step too far, is no chain.
+        poses[1, 0] += 1.0
+        assert chain_cost_um(rules, poses, outward) == -1
+        compared += 1
+
+
+def chain_of(planner, plan):
+    """Rules of a planner's space, and a plan as a chain on a map whose origin is 0."""
+    feet = plan.start_feet_world[:, [0, 1, 3]].copy()
+    rules = build_rules(
+        planner._toward[1].space,
+        planner.model,
+        feet,
+        np.zeros(2, np.int64),
+        planner.model.body_margin_m,
+    )
+    poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
+    return rules, poses, float(Side(int(plan.side[0])).outward)
+
+
+def test_slopes_of_rules_and_costs_are_those_of_differences():
+    grid, rng = random_floor(4)
+    model = shy_model(clearance_cost_m=0.0)
+    planner = Planner(grid, model, LATTICE)
+    plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
+    assert plan.found
+    rules, chain, first = chain_of(planner, plan)
+    space = rules.space
+    seen = 0
+    for _ in range(10):
+        poses = chain + rng.uniform(-0.02, 0.02, chain.shape)
+        i = int(rng.integers(1, len(poses) - 3))
+        outward = first * (-1) ** i
+        work = new_work(space, len(poses) - 1)
+        note_rules(rules, work, poses, first)
+        value, slope, active = work.value[i].copy(), work.slope[i].copy(), work.active[i].copy()
+        work.block[:] = 0.0
+        note_costs(rules.weights, i, work.step, work.along, work.block)
+        for k in range(6):
+            nudged = poses.copy()
+            nudged[i + k // 3, k % 3] += 1e-7
+            note_rules(rules, work, nudged, first)
+            same = active & work.active[i]
+            rate = (work.value[i] - value)[same] / 1e-7
+            np.testing.assert_allclose(rate, slope[same, k], atol=2e-5)
+            seen += int(same.sum())
+            # The last column of the block is minus the gradient of the cost.
+            costs = []
+            for sign in (1, -1):
+                nudged = poses.copy()
+                nudged[i + k // 3, k % 3] += sign * 1e-5
+                x, y, yaw = step_between(nudged[i], nudged[i + 1], outward)
+                costs.append(math.hypot(x, y) + smooth(0.05, yaw) + smooth(0.2, y - 0.2))
+                costs[-1] += 0.5 * (smooth(0.2, x) - 0.2 * x)
+            gradient = (costs[0] - costs[1]) / 2e-5
+            assert work.block[k, 6] == pytest.approx(-gradient, abs=1e-4)
+    assert seen > 300
+
+
+def smooth(rate, value):
+    return rate * math.sqrt(value * value + 1e-6)
+
+
+def test_room_around_a_box_is_right_by_polygons():
+    grid, rng = random_floor(6)
+    terrain = terrain_of(grid, False)
+    row, col = np.nonzero(grid.blocked())
+    walls = shapely.union_all(
+        shapely.box(col * 0.05, row * 0.05, (col + 1) * 0.05, (row + 1) * 0.05)
+    )
+    room = np.zeros((WAYS, 4))
+    touched = 0
+    for _ in range(300):
+        x, y, yaw = rng.uniform((0.4, 0.4, -3.2), (2.6, 2.6, 3.2))
+        near = room_off_blocked(terrain, x, y, yaw, 0.15, 0.08, 0.1, room)
+        box = affinity.rotate(
+            shapely.box(-0.15, -0.08, 0.15, 0.08), yaw, origin=(0, 0), use_radians=True
+        )
+        distance_m = affinity.translate(box, x, y).distance(walls)
+        if not near:
+            assert distance_m > 0.1
+            continue
+        # Along its axis a gap is at most the distance; corner to corner it may be smaller.
+        least = room[:, 0].min()
+        assert least <= distance_m + 1e-4
+        assert (least > -1.1e-5) or distance_m == 0
+        assert distance_m == 0 or least >= distance_m / math.sqrt(2) - 1e-4 or distance_m > 0.1
+        touched += least < 0.1
+    assert touched > 50
+
+
+def test_the_gap_between_feet_is_that_of_the_lattice():
+    model = small_model(foot_gap_m=0.02)
+    rng = np.random.default_rng(0)
+    half_l, half_w = model.foot.length_m / 2 + 0.01, model.foot.width_m / 2 + 0.01
+    steps = rng.uniform((-0.3, 0.0, -1.0), (0.3, 0.3, 1.0), (400, 3))
+    gaps = [gap_axis(x, y, yaw, half_l, half_w)[0] for x, y, yaw in steps]
+    assert (np.array(gaps) >= 0).tolist() == feet_apart(steps, model.foot, 0.02).tolist()
+
+
+def test_the_banded_system_is_solved_as_a_dense_one():
+    planner = Planner(FLOOR, small_model(), LATTICE)
+    plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
+    assert planner._toward is not None
+    rng = np.random.default_rng(1)
+    work = new_work(planner._toward[1].space, len(plan))
+    size = len(work.right)
+    dense, right = np.eye(size), np.zeros(size)
+    work.matrix[:, 0] = 1.0
+    for i in range(len(work.value)):
+        along = rng.normal(size=6)
+        work.block[:] = 0.0
+        add(work.block, 2.0, along[None, None], 0, 0, 3.0)
+        take_block(work.block, i, work.matrix, work.right)
+        whole = np.zeros(size + 6)
+        whole[3 * i : 3 * i + 6] = along
+        whole = whole[3 : size + 3]
+        dense += 2.0 * np.outer(whole, whole)
+        right += 3.0 * whole
+    assert _solve(work.matrix, work.right)
+    np.testing.assert_allclose(work.right, np.linalg.solve(dense, right), rtol=1e-9, atol=1e-9)
+
+
+def test_height_under_a_foot_is_that_of_its_tread_or_none():
+    heights = np.zeros((20, 20))
+    heights[:, 10:] = 0.1
+    grid = OccupancyGrid(cells=np.zeros((20, 20), np.uint8), resolution_m=0.1, elevation_m=heights)
+    planner = Planner(grid, small_model(), LATTICE)
+    planner.plan(start=(0.4, 0.5, 0.0), goal=(0.5, 1.2, 0.0))
+    assert planner._toward is not None
+    space = planner._toward[1].space
+    # The foot is 0.2 m long and wants 0.02 m of level ground around it; the edge is at x = 1.
+    assert foot_height_um(space, np.array([0.87, 1.0, 0.0])) == 0
+    assert foot_height_um(space, np.array([1.13, 1.0, 0.0])) == 100_000
+    assert foot_height_um(space, np.array([0.93, 1.0, 0.0])) < -1_000_000
+    assert foot_height_um(space, np.array([0.93, 1.0, math.pi / 2])) < -1_000_000
+    assert foot_height_um(space, np.array([0.92, 1.0, math.pi / 2])) == 0
