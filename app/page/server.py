@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import io
 import socket
-from typing import Any
 
 import viser
 
 from app.errors import InputError
+from app.page.backlog import calm, shorten
 
 LOCAL = "127.0.0.1"
-
-
-class OneThreadEvent(asyncio.Event):
-    """An event that is set in its loop's thread alone.
-
-    viser sets the event of a buffer in whatever thread writes to it, and then once more in the
-    loop's thread. The first can meet a change of who waits: "deque mutated during iteration", once
-    in some 100,000 messages with several pages open, in the middle of somebody's frame.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        super().__init__()
-        self._loop_of_waiters = loop
-
-    def set(self) -> None:
-        """Wakes who waits; in another thread nothing happens."""
-        try:
-            running = asyncio.get_running_loop()
-        except RuntimeError:
-            return
-        if running is self._loop_of_waiters:
-            super().set()
 
 
 class PageServer(viser.ViserServer):
@@ -45,13 +22,10 @@ class PageServer(viser.ViserServer):
         return None
 
     def calm(self) -> None:
-        """Lets any thread write to pages that are open, see OneThreadEvent; before any is."""
+        """Makes viser's buffers bear many threads and long hours; before any page is open."""
         messages = self._websock_server
-
-        def calm(buffer: Any) -> None:
-            buffer.message_event = OneThreadEvent(buffer.event_loop)
-
         calm(messages.get_message_buffer())
+        shorten(messages.get_message_buffer())
         # These run before anybody waits for the messages of a new page.
         messages.on_client_connect(lambda connection: calm(connection.get_message_buffer()))
 
