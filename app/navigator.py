@@ -113,6 +113,8 @@ class Navigator:
         noise = np.random.default_rng(seed).uniform(-1, 1, len(robot.joints))
         qpos[self.scene.joint_qpos] += self.config.joint_noise_rad * noise
         self.walker.place(0, qpos)
+        # Until there is a plan it stands where it is: its next two steps are its own feet.
+        self.walker.follow(0, Track.of(self._start_feet, np.zeros(0, np.int8), np.zeros((0, 4))))
         self.plans: list[FootstepPlan] = []
         self.followed: list[tuple[float, FootstepPlan]] = []
         self.placed: list[Placed] = []
