@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from app.errors import InputError, as_bad_input
 from app.inputs import find_follower, read_grid
+from app.page.offers import place_to_stand
 from app.page.page import Page
 from app.page.server import open_server
 from app.page.session import Session
@@ -11,6 +12,7 @@ from app.page.view import load_robot
 from app.progress import say
 from app.serve_options import ServeOptions
 from controller.policy import Policy, PolicyError, load_policy
+from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from sim.robot import Robot
 from sim.robots import robot_names
@@ -19,8 +21,6 @@ from sim.robots import robot_names
 def run(options: ServeOptions) -> int:
     """Carries the command out: serves until Ctrl-C."""
     grid = read_grid(options)
-    if not grid.contains(options.start[:2]):
-        raise InputError(f"--start {options.start[0]:g},{options.start[1]:g} is off the map")
 
     def load(name: str) -> tuple[Robot, Policy]:
         if options.policy is None or name != options.robot:
@@ -30,6 +30,7 @@ def run(options: ServeOptions) -> int:
             return robot, load_policy(robot, options.policy)
 
     robot, policy = load(options.robot)
+    _check_start(options, grid, robot)
     plan_options = PlannerOptions(
         name=options.planner,
         refine=options.refine,
@@ -56,3 +57,13 @@ def run(options: ServeOptions) -> int:
         session.close()
         server.stop()
     return 0
+
+
+def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:
+    wanted = "--start {:g},{:g},{:g}".format(*options.start)
+    if not grid.contains(options.start[:2]):
+        raise InputError(f"{wanted} is off the map")
+    stand = place_to_stand(grid, robot.step_model, options.unknown_is_free, options.start)
+    if stand.blocked:
+        near = "none within 2 m" if stand.offer is None else "{:g},{:g},{:g}".format(*stand.offer)
+        raise InputError(f"{wanted}: {stand.blocked}; the nearest free pose is {near}")

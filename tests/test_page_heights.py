@@ -28,6 +28,10 @@ def scene() -> Iterator[viser.SceneApi]:
     server.stop()
 
 
+async def nothing(_event: object) -> None:
+    """What a click does here."""
+
+
 def shown(scene: viser.SceneApi, name: str) -> np.ndarray:
     """Vertices (n, 3) of a mesh of the scene that are not put aside."""
     handle: Any = scene._handle_from_node_name[name]
@@ -74,6 +78,7 @@ def test_boxes_stand_on_the_ground(scene):
         on_change=boxes.extend,
         is_refused=lambda _: "",
         on_refused=pytest.fail,
+        on_click=nothing,
     )
     toybox.add((4.1, 0.0), (0.4, 0.4))
     assert len(boxes) == 1

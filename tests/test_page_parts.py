@@ -10,7 +10,7 @@ import pytest
 from app.page.boxes import Obstacle, snapped, with_obstacles
 from app.page.pace import Pace
 from app.page.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
-from app.page.pointer import Pointed, facing, on_floor, on_ground, toward
+from app.page.pointer import Pointed, facing, on_floor, toward
 from app.page.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 
@@ -56,25 +56,6 @@ def test_a_ray_meets_the_floor_where_it_should():
     assert on_floor((1, 2, 4), (0.5, -0.25, -1)) == pytest.approx((3, 1))
     assert on_floor((1, 2, 4), (0.5, -0.25, 0.1)) is None
     assert on_floor((1, 2, 4), (1, 0, 0)) is None
-
-
-def test_a_ray_meets_the_floor_of_a_map_at_its_height():
-    # 2 m of floor at 0.3 m above a floor at 0.1 m, from x = 1 on.
-    heights = np.full((20, 30), 0.1)
-    heights[:, 10:] = 0.3
-    cells = np.zeros((20, 30), np.uint8)
-    grid = OccupancyGrid(cells=cells, resolution_m=0.1, elevation_m=heights)
-    assert on_ground(grid, (2.0, 1.0, 1.3), (0.0, 0.1, -1)) == pytest.approx((2.0, 1.1))
-    assert on_ground(grid, (0.5, 1.0, 1.1), (0.0, 0.1, -1)) == pytest.approx((0.5, 1.1))
-    # From the low floor over the edge onto the high one, and the other way round.
-    assert on_ground(grid, (0.5, 1.0, 1.3), (0.8, 0.0, -1)) == pytest.approx((1.3, 1.0))
-    assert on_ground(grid, (2.0, 1.0, 1.3), (-1.2, 0.0, -1)) == pytest.approx((0.56, 1.0))
-    # Against the face of the step: at its foot, not behind it.
-    x, y = on_ground(grid, (0.0, 1.0, 0.7), (1.9, 0.0, -1)) or (0, 0)
-    assert (x, y) == pytest.approx((1.0, 1.0), abs=0.2)
-    assert on_ground(grid, (0.0, 1.0, 0.7), (1.0, 0.0, 0.1)) is None
-    flat = OccupancyGrid(cells=cells, resolution_m=0.1)
-    assert on_ground(flat, (1, 2, 4), (0.5, -0.25, -1)) == pytest.approx((3, 1))
 
 
 def test_a_drag_says_where_to_look_and_a_click_does_not():

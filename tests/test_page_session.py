@@ -136,6 +136,60 @@ def test_reset_puts_it_back_whatever_has_happened(session):
     assert moved.qpos[:2] == pytest.approx((1, 1), abs=0.1)
 
 
+def test_it_is_not_put_where_it_cannot_stand_and_another_place_is_offered(session):
+    session.reset((2.0, 2.9, 0.0))
+    told = wait_for(session, lambda now: now.notice)
+    assert told.notice.text.startswith("the robot cannot stand there: ")
+    assert told.notice.puts_robot
+    assert told.notice.offer[0] == pytest.approx(2.0, abs=0.05)
+    assert 2.0 < told.notice.offer[1] < 2.9
+    assert told.qpos[:2] == pytest.approx((0, 0), abs=0.1)
+    session.reset(told.notice.offer)
+    moved = wait_for(session, lambda now: now.qpos[1] > 1.5)
+    assert moved.notice is None
+
+
+def test_a_start_that_a_box_has_taken_does_not_swallow_the_robot(session):
+    session.reset((1.0, 1.0, 0.0))
+    wait_for(session, lambda now: now.qpos[1] > 0.8)
+    session.go_to((2.5, 1.0, 0.0))
+    wait_for(session, lambda now: now.qpos[0] > 2.0)
+    session.stop()
+    session.set_obstacles([box_at(1.0, 1.0)])
+    session.reset()
+    told = wait_for(session, lambda now: now.notice and now.notice.puts_robot)
+    assert told.qpos[0] > 1.9
+
+
+def test_a_click_on_a_wall_is_told_to_be_one(session):
+    session.set_obstacles([box_at(2.0, 0.0)])
+    session.go_to((1.8, 0.0, 0.0), in_the_way="a wall")
+    told = wait_for(session, lambda now: now.notice)
+    assert told.notice.text == "no plan: a wall stands there"
+    # On this side of it, not behind.
+    assert 1.0 < told.notice.offer[0] < 1.8
+
+
+def test_where_no_way_leads_the_nearest_place_with_one_is_offered():
+    # A wall across the hall, from x = 1.5 m.
+    cells = np.zeros((120, 160), np.uint8)
+    cells[:, 70:74] = 1
+    session = Session(HALL.with_cells(cells), ROBOT, POLICY)
+    session.pace.factor = math.inf
+    session.start()
+    try:
+        session.go_to((3.0, 0.5, 0.0))
+        told = wait_for(session, lambda now: now.notice)
+        assert told.notice.text.startswith("no plan: ")
+        x_m, y_m, yaw_rad = told.notice.offer
+        assert (y_m, yaw_rad) == (pytest.approx(0.5, abs=0.1), 0.0)
+        assert 0.9 < x_m < 1.5
+        session.go_to(told.notice.offer)
+        wait_for(session, lambda now: now.status == "walking" and now.notice is None)
+    finally:
+        session.close()
+
+
 def test_a_box_cannot_be_set_on_the_robot(session):
     assert session.is_on_robot(box_at(0.3, 0.3))
     assert not session.is_on_robot(box_at(1.0, 0.0))
@@ -179,6 +233,17 @@ def test_with_a_goal_it_walks_as_navigate_does(name):
     assert ended.outcome is walk.outcome
     assert len(ended.qpos) == len(walk.qpos)
     np.testing.assert_array_equal(ended.qpos[:-1], walk.qpos[:-1])
+
+
+def test_a_robot_that_was_put_anywhere_stands_there_until_it_is_sent():
+    start = (1.0, 1.0, 1.0)
+    planner = Planner(HALL, ROBOT.step_model)
+    rover = Rover(HALL, ROBOT, POLICY, start=start, goal=start, planner=planner)
+    np.testing.assert_allclose(rover.walker.cursor.window[0].mean(axis=0)[:2], (1, 1), atol=1e-2)
+    for _ in range(80):
+        rover.tick()
+    assert rover.outcome is None
+    assert np.hypot(*(rover.qpos[-1][:2] - start[:2])) < 0.05
 
 
 def test_a_changed_map_leaves_the_robot_as_it_is():

@@ -36,9 +36,8 @@ def snapped(obstacle: Obstacle, grid: OccupancyGrid) -> Obstacle:
 
     At least one cell stays on the map, wherever the box was put.
     """
-    rows, cols = grid.shape
-    x0, x1 = _cells(obstacle.x_m, obstacle.size_x_m, grid.resolution_m, cols)
-    y0, y1 = _cells(obstacle.y_m, obstacle.size_y_m, grid.resolution_m, rows)
+    rows, cols = cells_below(obstacle, grid)
+    x0, x1, y0, y1 = cols.start, cols.stop, rows.start, rows.stop
     side_m = grid.resolution_m
     return replace(
         obstacle,
@@ -53,11 +52,16 @@ def with_obstacles(grid: OccupancyGrid, obstacles: Iterable[Obstacle]) -> Occupa
     """The map with the cells below the boxes occupied."""
     cells = np.array(grid.cells)
     for obstacle in obstacles:
-        rows, cols = grid.shape
-        x0, x1 = _cells(obstacle.x_m, obstacle.size_x_m, grid.resolution_m, cols)
-        y0, y1 = _cells(obstacle.y_m, obstacle.size_y_m, grid.resolution_m, rows)
-        cells[y0:y1, x0:x1] = Cell.OCCUPIED
+        cells[cells_below(obstacle, grid)] = Cell.OCCUPIED
     return grid.with_cells(cells)
+
+
+def cells_below(obstacle: Obstacle, grid: OccupancyGrid) -> tuple[slice, slice]:
+    """Rows and columns of the cells that the box covers."""
+    rows, cols = grid.shape
+    x0, x1 = _cells(obstacle.x_m, obstacle.size_x_m, grid.resolution_m, cols)
+    y0, y1 = _cells(obstacle.y_m, obstacle.size_y_m, grid.resolution_m, rows)
+    return slice(y0, y1), slice(x0, x1)
 
 
 def _cells(centre_m: float, size_m: float, side_m: float, count: int) -> tuple[int, int]:

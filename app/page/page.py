@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from app.page.prints import Marker, Prints
 from app.page.server import PageServer
 from app.page.session import Session
 from app.page.snapshot import Notice, Snapshot
+from app.page.surface import FLOOR, WALL, surface_of
 from app.page.toybox import Toybox
 from controller.policy import Policy
 from planner.options import PlannerOptions
@@ -26,10 +27,13 @@ from planner.plan import Pose
 from sim.robot import Robot
 
 FRAMES_PER_S = 30.0
+# Nobody watches: just so often that whoever comes sees what is.
+_UNSEEN_FRAMES_PER_S = 4.0
 TEXT_EVERY_S = 0.25
 PLOT_EVERY_S = 0.5
 _NOTICE_FOR_S = 6.0
 _PALE_RGB = (240, 170, 160)
+_IN_THE_WAY = {WALL: "a wall", 0: "a box"}
 
 
 class Page:
@@ -60,20 +64,22 @@ class Page:
         scene, grid = server.scene, session.grid
         self._goal = Marker(scene, grid, "/goal")
         self._wished = Marker(scene, grid, "/wished", _PALE_RGB)
+        self._pointer = FloorPointer(self._pointed, surface_of(grid), on_drag=self._dragged)
         self.toybox = Toybox(
             scene,
             grid,
-            on_change=session.set_obstacles,
+            on_change=self._boxes_changed,
             is_refused=self._why_no_box,
             on_refused=self._say,
+            on_click=self._pointer.clicked,
             on_drag=self._dragged,
         )
-        self._pointer = FloorPointer(self._pointed, grid, on_drag=self._dragged)
         self._pointer.watch(add_floor(scene, grid))
         self._prints = Prints(scene, grid, robot.step_model.foot)
         self._figure = Figure(scene, look_of(robot))
         actions = Actions(
             go=self._go,
+            put=session.reset,
             stop=session.stop,
             reset=session.reset,
             use_tool=self._use,
@@ -85,6 +91,7 @@ class Page:
             remove_box=self.toybox.remove_last,
         )
         self._panel = Panel(server.gui, actions, robots=robots, robot=robot.name, options=options)
+        self._panel.show_start(session.start_pose)
         self._cameras = Cameras(server, grid, order=self._panel.switch_order)
 
     @property
@@ -101,7 +108,8 @@ class Page:
         while not is_over():
             began_s = time.monotonic()
             self.show(self.session.snapshot)
-            time.sleep(max(0.0, 1 / FRAMES_PER_S - (time.monotonic() - began_s)))
+            rate = FRAMES_PER_S if self._server.get_clients() else _UNSEEN_FRAMES_PER_S
+            time.sleep(max(0.0, 1 / rate - (time.monotonic() - began_s)))
 
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment; what has not changed since the last is left alone."""
@@ -147,28 +155,40 @@ class Page:
 
     def _use(self, tool: Tool) -> None:
         self._tool = tool
-        self.toybox.removes_on_click = tool is Tool.BOX
         self._pointer.use(tool)
 
     def _go(self, goal: Pose) -> None:
         self._wished.show(goal)
         self.session.go_to(goal)
 
-    def _pointed(self, pointed: Pointed, is_final: bool) -> None:
+    def _pointed(self, pointed: Pointed, on: int, is_final: bool) -> None:
         if self._tool is Tool.BOX:
-            self.toybox.add(pointed[:2], self._panel.box_size_m)
+            self._box_pointed(pointed, on)
             return
         qpos = self.session.snapshot.qpos
         w, x, y, z = qpos[3:7]
         yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-        goal = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
-        self._wished.show(goal)
+        pose = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
+        self._wished.show(pose)
         if is_final and self._tool is Tool.ROBOT:
             self._wished.show(None)
-            self.session.reset(goal)
+            self._panel.show_start(pose)
+            self.session.reset(pose)
         elif is_final:
-            self._panel.show_goal(goal)
-            self.session.go_to(goal)
+            self._panel.show_goal(pose)
+            self.session.go_to(pose, in_the_way=_IN_THE_WAY.get(min(on, 0), ""))
+
+    def _box_pointed(self, pointed: Pointed, on: int) -> None:
+        if on == WALL:
+            self._say("a wall stands there: boxes stand on the floor")
+        elif on == FLOOR:
+            self.toybox.add(pointed[:2], self._panel.box_size_m)
+        else:
+            self.toybox.remove(on)
+
+    def _boxes_changed(self, obstacles: Sequence[Obstacle]) -> None:
+        self._pointer.see_boxes(obstacles)
+        self.session.set_obstacles(obstacles)
 
     def _dragged(self, client_id: int) -> None:
         self._cameras.hold(client_id)

@@ -19,6 +19,7 @@ from planner.plan import Pose
 SPEEDS = {"Pause": 0.0, "Slow": 0.25, "1x": 1.0, "Fastest": math.inf}
 # Stands before the name on the button that is pressed: viser's buttons all look alike.
 CHOSEN = "✓ "
+_GO_THERE, _PUT_THERE = "Go to the nearest free pose", "Put the robot at the nearest free pose"
 _HINTS = {
     Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks.",
     Tool.BOX: "**Box**: click the floor to set a box down, click a box to take it away, drag it to "
@@ -33,6 +34,7 @@ class Actions:
     """What the panel's controls do."""
 
     go: Callable[[Pose], None]
+    put: Callable[[Pose], None]
     stop: Callable[[], None]
     reset: Callable[[], None]
     use_tool: Callable[[Tool], None]
@@ -57,19 +59,19 @@ class Panel:
         options: PlannerOptions,
     ) -> None:
         self._gui, self._actions, self._options = gui, actions, options
-        self._offer: Pose | None = None
+        self._heard: Notice | None = None
         self._text = ""
         self._status = gui.add_markdown("")
         self._notice = gui.add_markdown("", visible=False)
-        self._take_offer = gui.add_button(
-            "Go to the nearest free pose", color="orange", visible=False
-        )
-        self._take_offer.on_click(lambda _event: self._go_to_offer())
+        self._take_offer = gui.add_button(_GO_THERE, color="orange", visible=False)
+        self._take_offer.on_click(lambda _event: self._accept())
         self._add_tools()
         self._add_walk()
         with gui.add_folder("Goal") as goal:
-            self._add_goal()
+            self._goal = self._add_pose("", "Go", actions.go)
         self._switch_order = goal.order - 0.5
+        with gui.add_folder("Start", expand_by_default=False):
+            self._start = self._add_pose("start ", "Put the robot there", actions.put)
         with gui.add_folder("Boxes", expand_by_default=False):
             self._add_boxes()
         with gui.add_folder("Robot and planner", expand_by_default=False):
@@ -94,22 +96,33 @@ class Panel:
         if text != self._text:
             self._text = self._status.content = text
         notice = unheard or snapshot.notice
-        content = "" if notice is None else f"⚠️ {notice.text}"
-        if content != self._notice.content:
-            self._notice.content = content
-            self._notice.visible = bool(content)
-        self._offer = None if notice is None else notice.offer
-        self._take_offer.visible = self._offer is not None
+        if notice == self._heard:
+            return
+        self._heard = notice
+        self._notice.content = "" if notice is None else f"⚠️ {notice.text}"
+        self._notice.visible = notice is not None
+        self._take_offer.visible = notice is not None and notice.offer is not None
+        if notice is not None and notice.offer is not None:
+            self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
 
     def show_goal(self, pose: Pose) -> None:
         """Puts the numbers of a goal into the fields where they can be typed."""
-        self._x.value, self._y.value = pose[0], pose[1]
-        self._degrees.value = round(math.degrees(pose[2]), 1)
+        self._goal.show(pose)
 
-    def _go_to_offer(self) -> None:
-        if self._offer is not None:
-            self.show_goal(self._offer)
-            self._actions.go(self._offer)
+    def show_start(self, pose: Pose) -> None:
+        """Puts the numbers of the robot's start into the fields where they can be typed."""
+        self._start.show(pose)
+
+    def _accept(self) -> None:
+        notice = self._heard
+        if notice is None or notice.offer is None:
+            return
+        if notice.puts_robot:
+            self.show_start(notice.offer)
+            self._actions.put(notice.offer)
+        else:
+            self.show_goal(notice.offer)
+            self._actions.go(notice.offer)
 
     def _add_tools(self) -> None:
         self._tools = self._gui.add_button_group("Pointer", marked(Tool, Tool.GOAL))
@@ -137,16 +150,10 @@ class Panel:
             )
         )
 
-    def _add_goal(self) -> None:
-        # Any: viser's types say that the value of a number cannot be set.
-        self._x: Any = self._gui.add_number("x, m", 0.0, step=0.05)
-        self._y: Any = self._gui.add_number("y, m", 0.0, step=0.05)
-        self._degrees: Any = self._gui.add_number("heading, °", 0.0, step=5.0)
-        self._gui.add_button("Go").on_click(lambda _event: self._go())
-
-    def _go(self) -> None:
-        yaw_rad = math.radians(self._degrees.value)
-        self._actions.go((float(self._x.value), float(self._y.value), yaw_rad))
+    def _add_pose(self, prefix: str, word: str, act: Callable[[Pose], None]) -> _PoseFields:
+        fields = _PoseFields(self._gui, prefix)
+        self._gui.add_button(word).on_click(lambda _event: act(fields.pose))
+        return fields
 
     def _add_boxes(self) -> None:
         self._box_x = self._gui.add_slider("size in x, m", 0.1, 2.0, 0.05, 0.4)
@@ -192,6 +199,27 @@ class Panel:
     def _add_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
         command = self._gui.add_command(label, hotkey=key)
         command.on_trigger(lambda _event: action())
+
+
+class _PoseFields:
+    """A pose as three numbers that can be typed, the heading in degrees."""
+
+    def __init__(self, gui: viser.GuiApi, prefix: str) -> None:
+        # Any: viser's types say that the value of a number cannot be set.
+        self._x: Any = gui.add_number(f"{prefix}x, m", 0.0, step=0.05)
+        self._y: Any = gui.add_number(f"{prefix}y, m", 0.0, step=0.05)
+        self._degrees: Any = gui.add_number(f"{prefix}heading, °", 0.0, step=5.0)
+
+    @property
+    def pose(self) -> Pose:
+        """As it stands there."""
+        yaw_rad = math.radians(self._degrees.value)
+        return float(self._x.value), float(self._y.value), yaw_rad
+
+    def show(self, pose: Pose) -> None:
+        """Puts the pose there."""
+        self._x.value, self._y.value = pose[0], pose[1]
+        self._degrees.value = round(math.degrees(pose[2]), 1)
 
 
 def marked(names: Iterable[str], chosen: str) -> tuple[str, ...]:

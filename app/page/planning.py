@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.page.offers import free_pose, reachable_pose
 from maps.grid import OccupancyGrid
 from planner.api import Planner
 from planner.collision import terrain_of
-from planner.endpoints import nearest_free_pose
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, pair_pose
@@ -46,7 +46,7 @@ class Query:
 class Answer:
     """A plan for the query of that number; after the first may come one better one.
 
-    `offer` is the nearest pose that is free when the goal of the query is not.
+    `offer` is a pose near by that would do when the goal of the query does not.
     """
 
     number: int
@@ -226,6 +226,9 @@ def _work(pipe: Connection) -> None:
         while True:
             query: Query | None = None
             while query is None or pipe.poll():
+                if world is not None and planners is None and not pipe.poll():
+                    # Nobody waits yet: the first question shall not have to.
+                    planners = _planners(world)
                 message = pipe.recv()
                 if isinstance(message, World):
                     if world is None:
@@ -283,11 +286,7 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
         return
     plan = planners.quick.plan(**asked)
     improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
-    offer = None
-    if plan.status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
-        terrain = terrain_of(world.grid, world.options.unknown_is_free)
-        offer = nearest_free_pose(world.grid, terrain, world.model, query.goal)
-        offer = offer and (float(offer[0]), float(offer[1]), float(offer[2]))
+    offer = None if plan.found else _offer(world, planners.quick, query, plan.status)
     pipe.send(Answer(number=query.number, plan=plan, offer=offer, is_last=not improvable))
     if improvable and not pipe.poll():
         better = planners.thorough.plan(**asked)
@@ -295,3 +294,19 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
         if better.found and better.cost_m <= plan.cost_m:
             plan = replace(better, time_to_first_s=plan.time_s)
         pipe.send(Answer(number=query.number, plan=plan))
+
+
+def _offer(world: World, planner: Planner, query: Query, status: PlanStatus) -> Pose | None:
+    """A pose that would do instead of the goal, if there is one near."""
+    terrain = terrain_of(world.grid, world.options.unknown_is_free)
+    if status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
+        return free_pose(world.grid, terrain, world.model, query.goal)
+    if status is not PlanStatus.NO_PATH:
+        return None
+
+    def has_way(pose: Pose) -> bool:
+        feet, first = query.start_feet_world, query.first_side
+        return planner.plan(goal=pose, start_feet_world=feet, first_side=first).found
+
+    start = pair_pose(query.start_feet_world)
+    return reachable_pose(world.grid, terrain, world.model, start, query.goal, has_way)

@@ -1,16 +1,17 @@
-"""What a click or a drag on the floor means: goal, place of the robot, or a box."""
+"""What a click or a drag on the map means: goal, place of the robot, or a box."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 import viser
 
-from maps.grid import OccupancyGrid
+from app.page.boxes import Obstacle
+from app.page.surface import Surface
 from planner.plan import Pose
 
 # A drag shorter than this does not say where to look.
@@ -35,22 +36,22 @@ class Pointed(NamedTuple):
 
 
 class FloorPointer:
-    """Turns clicks and drags on the floor into poses.
+    """Turns clicks and drags on the map into poses.
 
-    `on_pose(pointed, is_final)` is called also while a drag goes on; a click leaves the heading
-    open. `on_drag(client_id)` is called for each piece of a drag. With the tool LOOK a drag on the
-    floor turns the camera. The grid says how high the floor is.
+    `on_pose(pointed, on, is_final)` is called also while a drag goes on; a click leaves the heading
+    open. `on` says what was pointed at, see `Met`. `on_drag(client_id)` is called for each piece of
+    a drag. With the tool LOOK a drag on the floor turns the camera.
     """
 
     def __init__(
         self,
-        on_pose: Callable[[Pointed, bool], None],
-        grid: OccupancyGrid,
+        on_pose: Callable[[Pointed, int, bool], None],
+        surface: Surface,
         *,
         on_drag: Callable[[int], None] = lambda _client_id: None,
     ) -> None:
         self._on_pose, self._on_drag = on_pose, on_drag
-        self._grid = grid
+        self._bare = self._surface = surface
         self._floor: viser.BoxHandle | None = None
         self._tool = Tool.GOAL
         self._drags = False
@@ -58,7 +59,7 @@ class FloorPointer:
     def watch(self, floor: viser.BoxHandle) -> None:
         """Listens to this floor from now on."""
         self._floor, self._drags = floor, False
-        floor.on_click(self._clicked)
+        floor.on_click(self.clicked)
         self.use(self._tool)
 
     def use(self, tool: Tool) -> None:
@@ -73,21 +74,27 @@ class FloorPointer:
         else:
             self._floor.remove_drag_callback("all")
 
+    def see_boxes(self, obstacles: Iterable[Obstacle]) -> None:
+        """These boxes stand on the map from now on."""
+        self._surface = self._bare.with_boxes(obstacles)
+
     # Coroutines are awaited one after the other; functions could overtake one another.
-    async def _clicked(self, event: viser.SceneNodePointerEvent) -> None:
-        point = on_ground(self._grid, event.ray_origin, event.ray_direction)
-        if point is not None and self._tool is not Tool.LOOK:
-            self._on_pose(Pointed(*point), True)
+    async def clicked(self, event: viser.SceneNodePointerEvent) -> None:
+        """Takes a click on anything; what it meets first counts, whoever tells of it."""
+        met = self._surface.met(event.ray_origin, event.ray_direction)
+        if met is not None and self._tool is not Tool.LOOK:
+            self._on_pose(Pointed(met.x_m, met.y_m), met.on, True)
 
     async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
         self._on_drag(event.client.client_id)
         eye = np.asarray(event.client.camera.position)
-        point = on_ground(self._grid, eye, np.asarray(event.end_position) - eye)
-        if point is None:
+        met = self._surface.met(eye, np.asarray(event.start_position) - eye)
+        if met is None or event.phase == "start":
             return
-        grabbed = on_ground(self._grid, eye, np.asarray(event.start_position) - eye)
-        if grabbed is not None and event.phase != "start":
-            self._on_pose(toward(grabbed, point), event.phase == "end")
+        # The end only says where to look: what stands there hides nothing of that.
+        point = on_floor(eye, np.asarray(event.end_position) - eye, met.z_m)
+        if point is not None:
+            self._on_pose(toward((met.x_m, met.y_m), point), met.on, event.phase == "end")
 
 
 def on_floor(
@@ -100,27 +107,6 @@ def on_floor(
         return None
     along = (height_m - origin[2]) / direction[2]
     return float(origin[0] + along * direction[0]), float(origin[1] + along * direction[1])
-
-
-def on_ground(
-    grid: OccupancyGrid,
-    origin: Sequence[float] | np.ndarray,
-    direction: Sequence[float] | np.ndarray,
-) -> tuple[float, float] | None:
-    """Where a ray from above meets the floor of a map first; None if it never does.
-
-    Where it meets the face of a step it is at the step's foot, to within a cell.
-    """
-    if grid.elevation_m is None:
-        return on_floor(origin, direction)
-    levels = np.unique(grid.elevation_m)[::-1]
-    for height_m in levels[:-1]:
-        point = on_floor(origin, direction, float(height_m))
-        if point is None:
-            return None
-        if grid.contains(point) and grid.height_m(point) >= height_m:
-            return point
-    return on_floor(origin, direction, float(levels[-1]))
 
 
 def toward(place: tuple[float, float], point: tuple[float, float]) -> Pointed:

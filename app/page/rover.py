@@ -52,6 +52,16 @@ class Rover(Navigator):
         """The plan that will be taken up when the foot in the air has landed."""
         return None if self._waiting is None else self._waiting[0]
 
+    def status(self, *, is_asking: bool) -> str:
+        """What it does, in a word, or how it ended and why; `is_asking` for a plan."""
+        if self.halted and not self.has_ended:
+            return "stopping" if self.going else "stopped"
+        if self.outcome is not None:
+            return f"{self.outcome}" + (f": {self.reason}" if self.reason else "")
+        if is_asking and not self.going:
+            return "planning"
+        return "walking" if self.going else "standing"
+
     def ahead(self) -> Ahead:
         """Where and when the next plan can be taken up."""
         cursor = self.walker.cursor

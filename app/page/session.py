@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from app.errors import InputError
 from app.navigator import Navigator, NavigatorConfig, PlansSteps
 from app.page.boxes import Obstacle, with_obstacles
+from app.page.offers import place_to_stand
 from app.page.pace import Pace
 from app.page.planning import Answer, PatientPlanner, PlanningProcess, World
 from app.page.record import Record
@@ -36,13 +37,17 @@ _SNAPSHOT_EVERY_S = 1 / 60
 
 @dataclass(frozen=True, kw_only=True)
 class _Question:
-    """What the planner was asked, from which moment, and for which goal."""
+    """What the planner was asked, from which moment, and for which goal.
+
+    in_the_way: what was seen at the goal already when it was pointed at.
+    """
 
     number: int
     ahead: Ahead
     goal: Pose
     fresh: bool
     asked_s: float
+    in_the_way: str = ""
 
 
 class Session:
@@ -108,16 +113,24 @@ class Session:
         """The process that plans."""
         return self._planner.process_id
 
-    def go_to(self, goal: Sequence[float]) -> None:
-        """Walk to this pose."""
-        self._wishes.put(lambda: self._ask(_pose(goal), fresh=True))
+    @property
+    def start_pose(self) -> Pose:
+        """Where the robot stands after a reset."""
+        return self._start
+
+    def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
+        """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
+        self._wishes.put(lambda: self._ask(_pose(goal), fresh=True, in_the_way=in_the_way))
 
     def stop(self) -> None:
         """Stand still as soon as possible."""
         self._wishes.put(self._stop)
 
     def reset(self, start: Sequence[float] | None = None) -> None:
-        """Stand at the pose `start`, or where it stood at first, whatever has happened."""
+        """Stand at the pose `start`, or where it stood at first, whatever has happened.
+
+        Where it cannot stand it is not put, and the nearest pose that is free is offered.
+        """
         self._wishes.put(lambda: self._reset(None if start is None else _pose(start)))
 
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
@@ -203,9 +216,10 @@ class Session:
     def _ask_again(self, question: _Question) -> None:
         """Asks anew; a walk that its first plan has begun already goes on."""
         begun = self._followed_number == question.number
-        self._ask(question.goal, fresh=question.fresh and not begun)
+        fresh = question.fresh and not begun
+        self._ask(question.goal, fresh=fresh, in_the_way=question.in_the_way)
 
-    def _ask(self, goal: Pose, *, fresh: bool) -> None:
+    def _ask(self, goal: Pose, *, fresh: bool, in_the_way: str = "") -> None:
         if self._rover.has_ended:
             self._notice = Notice(text=f"the robot has {self._rover.outcome}: reset it first")
             return
@@ -214,7 +228,12 @@ class Session:
             goal=goal, start_feet_world=ahead.feet_world, first_side=ahead.first_side
         )
         self._question = _Question(
-            number=number, ahead=ahead, goal=goal, fresh=fresh, asked_s=time.monotonic()
+            number=number,
+            ahead=ahead,
+            goal=goal,
+            fresh=fresh,
+            asked_s=time.monotonic(),
+            in_the_way=in_the_way,
         )
 
     def _listen(self) -> None:
@@ -227,6 +246,7 @@ class Session:
         if self._answer_of != question.number:
             self._answer_s = time.monotonic() - question.asked_s
             self._answer_of = question.number
+            self._shown_s = -math.inf
         if answer.is_last:
             self._question = None
         if not answer.plan.found:
@@ -254,7 +274,9 @@ class Session:
             self._ask(question.goal, fresh=question.fresh)
 
     def _no_plan(self, question: _Question, answer: Answer) -> None:
-        self._notice = Notice(text=f"no plan: {answer.plan.reason}", offer=answer.offer)
+        seen, reason = question.in_the_way, answer.plan.reason
+        text = f"no plan: {seen} stands there" if seen else f"no plan: {reason}"
+        self._notice = Notice(text=text, offer=answer.offer)
         if not question.fresh:
             # The way that it was on is no more.
             self._idle_s = 0.0
@@ -267,7 +289,14 @@ class Session:
         self._rover.halt()
 
     def _reset(self, start: Pose | None) -> None:
-        self._start = start or self._start
+        wanted = start or self._start
+        grid, model = self._world().grid, self._robot.step_model
+        stand = place_to_stand(grid, model, self._options.unknown_is_free, wanted)
+        if stand.blocked:
+            text = f"the robot cannot stand there: {stand.blocked}"
+            self._notice = Notice(text=text, offer=stand.offer, puts_robot=True)
+            return
+        self._start = wanted
         self._place()
 
     def _set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
@@ -342,7 +371,7 @@ class Session:
             placed_world=record.placed_world,
             foot_error_m=record.foot_error_m,
             path_world=record.path_world,
-            status=self._status(),
+            status=rover.status(is_asking=self._question is not None),
             replans=rover.replans,
             answer_s=self._answer_s,
             clearance_m=record.clearance_m,
@@ -362,16 +391,6 @@ class Session:
             return None, 0
         begun_s, plan = rover.followed[-1]
         return plan, sum(placed.time_s > begun_s for placed in rover.placed)
-
-    def _status(self) -> str:
-        rover = self._rover
-        if rover.halted and not rover.has_ended:
-            return "stopping" if rover.going else "stopped"
-        if rover.outcome is not None:
-            return f"{rover.outcome}" + (f": {rover.reason}" if rover.reason else "")
-        if self._question is not None and not rover.going:
-            return "planning"
-        return "walking" if rover.going else "standing"
 
 
 def _pose(values: Sequence[float]) -> Pose:

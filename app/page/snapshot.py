@@ -11,10 +11,14 @@ from planner.plan import FootstepPlan, Pose
 
 @dataclass(frozen=True, kw_only=True)
 class Notice:
-    """Something that went wrong, for people, and a pose that would do instead, if one is known."""
+    """Something that went wrong, for people, and a pose that would do instead, if one is known.
+
+    The offer is a goal, or with `puts_robot` a place for the robot to begin anew.
+    """
 
     text: str
     offer: Pose | None = None
+    puts_robot: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

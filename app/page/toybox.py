@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import viser
@@ -21,8 +22,8 @@ class Toybox:
     """Adds, moves and removes boxes; `on_change` gets all of them whenever they change.
 
     `is_refused(obstacle)` says why a box cannot stand somewhere, or nothing; a box that is dragged
-    to such a place goes back to where it was. `on_drag(client_id)` is called for each piece of a
-    drag.
+    to such a place goes back to where it was. `on_click(event)` is awaited for a click on a box,
+    `on_drag(client_id)` called for each piece of a drag.
     """
 
     def __init__(
@@ -33,14 +34,14 @@ class Toybox:
         on_change: Callable[[Sequence[Obstacle]], None],
         is_refused: Callable[[Obstacle], str],
         on_refused: Callable[[str], None],
+        on_click: Callable[[viser.SceneNodePointerEvent], Coroutine[Any, Any, None]],
         on_drag: Callable[[int], None] = lambda _client_id: None,
     ) -> None:
         self._scene, self._grid = scene, grid
         self._on_change, self._is_refused, self._on_refused = on_change, is_refused, on_refused
-        self._on_drag = on_drag
+        self._on_click, self._on_drag = on_click, on_drag
         self._obstacles: dict[int, Obstacle] = {}
         self._drawn: dict[int, viser.BoxHandle] = {}
-        self.removes_on_click = False
 
     def add(self, xy_world: Sequence[float], size_m: tuple[float, float]) -> None:
         """Sets a box down at a point of the world."""
@@ -63,7 +64,7 @@ class Toybox:
     def remove_last(self) -> None:
         """Takes the box away that was added last."""
         if self._obstacles:
-            self._remove(next(reversed(self._obstacles)))
+            self.remove(next(reversed(self._obstacles)))
 
     def clear(self) -> None:
         """Takes all boxes away."""
@@ -73,10 +74,11 @@ class Toybox:
         self._drawn.clear()
         self._changed()
 
-    def _remove(self, number: int) -> None:
-        del self._obstacles[number]
-        self._drawn.pop(number).remove()
-        self._changed()
+    def remove(self, number: int) -> None:
+        """Takes the box of this number away, if it is there."""
+        if self._obstacles.pop(number, None) is not None:
+            self._drawn.pop(number).remove()
+            self._changed()
 
     def _changed(self) -> None:
         self._on_change(tuple(self._obstacles.values()))
@@ -91,15 +93,11 @@ class Toybox:
         )
         self._drawn[number] = drawn
 
-        async def clicked(_event: viser.SceneNodePointerEvent) -> None:
-            if self.removes_on_click and number in self._obstacles:
-                self._remove(number)
-
         async def dragged(event: viser.SceneNodeDragEvent) -> None:
             if number in self._obstacles:
                 self._dragged(number, event)
 
-        drawn.on_click(clicked)
+        drawn.on_click(self._on_click)
         drawn.on_drag("left")(dragged)
 
     def _middle_m(self, obstacle: Obstacle) -> float:

@@ -1,0 +1,138 @@
+"""What a click meets first: floor, wall or box, on flat and on stepped ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from app.page.boxes import Obstacle, snapped
+from app.page.surface import FLOOR, WALL, Met, Surface, surface_of
+from maps.grid import OccupancyGrid
+from maps.reader import load_map
+from sim.scene import WALL_HEIGHT_M
+
+# A hall of 3 by 2 m with a wall across it, from x = 1.0 to 1.1 m; walls are 1 m high.
+CELLS = np.zeros((20, 30), np.uint8)
+CELLS[:, 10] = 1
+HALL = OccupancyGrid(cells=CELLS, resolution_m=0.1)
+
+
+def met(surface: Surface, origin: tuple[float, ...], direction: tuple[float, ...]) -> Met:
+    found = surface.met(origin, direction)
+    assert found is not None
+    return found
+
+
+def place(found: Met) -> tuple[float, float, float]:
+    return found.x_m, found.y_m, found.z_m
+
+
+def test_a_ray_that_meets_nothing_before_ends_on_the_floor():
+    found = met(surface_of(HALL), (2.0, 1.0, 1.5), (0.5, -0.25, -1.0))
+    assert found.on == FLOOR
+    assert place(found) == pytest.approx((2.75, 0.625, 0.0))
+
+
+def test_a_wall_is_no_glass():
+    # Toward the floor at x = 2.5 behind the wall: at x = 1 the ray is 0.6 m high.
+    found = met(surface_of(HALL), (0.0, 1.0, 1.0), (2.5, 0.0, -1.0))
+    assert found.on == WALL
+    assert place(found) == pytest.approx((1.0, 1.0, 0.6))
+    # From the other side it is the other face.
+    found = met(surface_of(HALL), (2.5, 1.0, 1.0), (-2.5, 0.1, -1.0))
+    assert place(found) == pytest.approx((1.1, 1.056, 0.44))
+
+
+def test_a_wall_has_a_top_and_may_be_looked_over():
+    found = met(surface_of(HALL), (0.05, 1.0, 3.0), (1.0, 0.0, -2.0))
+    assert (found.on, place(found)) == (WALL, pytest.approx((1.05, 1.0, 1.0)))
+    # At x = 1.1 it is 1.1 m high still.
+    found = met(surface_of(HALL), (0.0, 1.0, 3.3), (1.0, 0.0, -2.0))
+    assert (found.on, place(found)) == (FLOOR, pytest.approx((1.65, 1.0, 0.0)))
+    found = met(surface_of(HALL), (1.05, 0.5, 3.0), (0.0, 0.0, -1.0))
+    assert (found.on, place(found)) == (WALL, pytest.approx((1.05, 0.5, 1.0)))
+
+
+def test_what_the_eye_is_in_is_glass():
+    found = met(surface_of(HALL), (1.05, 1.0, 0.5), (1.0, 0.0, -1.0))
+    assert (found.on, place(found)) == (FLOOR, pytest.approx((1.55, 1.0, 0.0)))
+
+
+def test_beyond_the_map_is_floor_and_above_the_horizon_nothing():
+    surface = surface_of(HALL)
+    found = met(surface, (2.0, 1.0, 1.0), (2.0, 0.0, -1.0))
+    assert (found.on, place(found)) == (FLOOR, pytest.approx((4.0, 1.0, 0.0)))
+    found = met(surface, (5.0, 9.0, 1.0), (0.0, 0.1, -1.0))
+    assert (found.on, place(found)) == (FLOOR, pytest.approx((5.0, 9.1, 0.0)))
+    assert surface.met((2.0, 1.0, 1.5), (1.0, 0.0, 0.1)) is None
+    # A ray that rises may meet a wall all the same.
+    assert met(surface, (2.0, 1.0, 0.5), (-1.0, 0.0, 0.1)).on == WALL
+
+
+def test_a_box_hides_what_is_behind_it_and_has_a_number():
+    box = snapped(Obstacle(number=7, x_m=2.0, y_m=1.0, size_x_m=0.2, size_y_m=0.2), HALL)
+    surface = surface_of(HALL).with_boxes([box])
+    found = met(surface, (2.0, 0.0, 0.9), (0.0, 1.8, -0.9))
+    assert (found.on, place(found)) == (7, pytest.approx((2.0, 0.9, 0.45)))
+    assert met(surface_of(HALL), (2.0, 0.0, 0.9), (0.0, 1.8, -0.9)).on == FLOOR
+    beside = met(surface, (2.2, 0.0, 0.9), (0.0, 1.8, -0.9))
+    assert (beside.on, place(beside)) == (FLOOR, pytest.approx((2.2, 1.8, 0.0)))
+
+
+def test_a_map_may_be_turned_in_the_world():
+    turned = OccupancyGrid(cells=CELLS, resolution_m=0.1, origin=(5.0, -3.0, math.pi / 2))
+    # The grid's x is the world's y, and its y the world's -x.
+    found = met(surface_of(turned), (4.0, -3.0, 1.0), (0.0, 2.5, -1.0))
+    assert (found.on, place(found)) == (WALL, pytest.approx((4.0, -2.0, 0.6)))
+
+
+def test_on_steps_a_ray_ends_on_the_tread_or_at_the_riser():
+    # Floor at 0.1 m, and at 0.3 m from x = 1 on.
+    heights = np.full((20, 30), 0.1)
+    heights[:, 10:] = 0.3
+    cells = np.zeros((20, 30), np.uint8)
+    stairs = surface_of(OccupancyGrid(cells=cells, resolution_m=0.1, elevation_m=heights))
+    for origin, direction, wanted in (
+        ((2.0, 1.0, 1.3), (0.0, 0.1, -1), (2.0, 1.1, 0.3)),
+        ((0.5, 1.0, 1.1), (0.0, 0.1, -1), (0.5, 1.1, 0.1)),
+        ((0.5, 1.0, 1.3), (0.8, 0.0, -1), (1.3, 1.0, 0.3)),
+        ((2.0, 1.0, 1.3), (-1.2, 0.0, -1), (0.56, 1.0, 0.1)),
+        ((0.0, 1.0, 0.7), (2.0, 0.0, -1), (1.0, 1.0, 0.2)),
+    ):
+        found = met(stairs, origin, direction)
+        assert (found.on, place(found)) == (FLOOR, pytest.approx(wanted))
+
+
+def test_walls_are_as_high_as_they_are_drawn():
+    surface = surface_of(load_map("maps/stairs.yaml"))
+    assert surface.top_m.max() == pytest.approx(0.6 + WALL_HEIGHT_M)
+    assert set(np.unique(surface.on)) <= {FLOOR, WALL}
+    assert surface.top_m[surface.on == FLOOR].max() == pytest.approx(0.6)
+
+
+def test_rays_meet_what_small_steps_along_them_meet():
+    rng = np.random.default_rng(5)
+    cells = (rng.random((20, 30)) < 0.15).astype(np.uint8)
+    surface = surface_of(OccupancyGrid(cells=cells, resolution_m=0.1))
+    seen = set()
+    for _ in range(100):
+        origin = np.array([*rng.uniform(-1, 3, 2), rng.uniform(1.1, 3)])
+        target = np.array([*rng.uniform(0.05, (2.95, 1.95)), 0.0])
+        found = surface.met(origin, target - origin)
+        for share in np.linspace(0, 1, 2001):
+            point = origin + share * (target - origin)
+            col, row = np.floor(point[:2] / 0.1).astype(int)
+            on_map = 0 <= row < 20 and 0 <= col < 30
+            if on_map and point[2] <= (1.0 if cells[row, col] else 0.0):
+                break
+        assert found is not None
+        # Small steps may cut a corner of a wall; the ray may not, and meets nothing that is not.
+        assert math.dist(place(found), origin) < math.dist(point, origin) + 1e-3
+        ahead = np.array(place(found)) + 1e-9 * (target - origin)
+        col, row = np.floor(ahead[:2] / 0.1).astype(int)
+        assert cells[row, col] == (found.on == WALL)
+        assert 0 <= found.z_m <= (1.0 + 1e-9 if found.on == WALL else 1e-9)
+        seen.add(found.on)
+    assert seen == {FLOOR, WALL}
