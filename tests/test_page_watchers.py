@@ -227,3 +227,39 @@ def test_boxes_and_pages_that_come_and_go_leave_nothing_behind(served):
         come_and_go()
     assert served.kept == before
     assert served.server._websock_server._client_state_from_id == {}
+
+
+def test_a_page_opens_as_quickly_after_ages_as_at_first(served):
+    """A trillion messages ago: whoever looked for each of them would never be done."""
+    buffer = served.server._websock_server._broadcast_buffer
+    shown_walk(served.page, served.session.snapshot, 3, np.random.default_rng(0))
+    buffer.message_counter += 10**12
+    shown_walk(served.page, served.session.snapshot, 2, np.random.default_rng(1))
+    watcher = Watcher(served.server.url)
+    wait_until(lambda: watcher.heard["ReplayDoneMessage"], "all that was there has been sent")
+    nodes = served.server.scene._handle_from_node_name
+    assert watcher.heard["SetPositionMessage"] > 10
+    assert sum(watcher.heard[kind] for kind in watcher.heard if kind.endswith("MeshMessage")) > 10
+    assert len(nodes) > 20
+    before = watcher.heard["SetPositionMessage"]
+    shown_walk(served.page, served.session.snapshot, 2, np.random.default_rng(2))
+    wait_until(lambda: watcher.heard["SetPositionMessage"] > before, "news comes after that")
+    watcher.close()
+
+
+def test_a_robot_that_rests_sends_nothing(served):
+    served.session.pace.factor = 1.0
+    served.live()
+    watcher = Watcher(served.server.url)
+
+    def is_quiet() -> bool:
+        before = watcher.heard.total()
+        time.sleep(1.5)
+        return watcher.heard.total() == before
+
+    wait_until(is_quiet, "there is nothing to tell")
+    before = watcher.heard["SetPositionMessage"]
+    assert before > 10
+    served.session.go_to((1.0, 0.0, 0.0))
+    wait_until(lambda: watcher.heard["SetPositionMessage"] > before, "it sees the robot walk")
+    watcher.close()

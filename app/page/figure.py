@@ -17,6 +17,7 @@ class Figure:
         self._look = look
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._bodies = []
+        self._posed = np.zeros(0)
         for name, parts in zip(look.names, look.parts, strict=True):
             self._bodies.append(scene.add_frame(f"{ROOT}/{name}", show_axes=False))
             for index, part in enumerate(parts):
@@ -34,7 +35,10 @@ class Figure:
         return int(self._look.model.nq)
 
     def pose(self, qpos: np.ndarray) -> None:
-        """Puts every body where it is at qpos (nq,)."""
+        """Puts every body where it is at qpos (nq,); nothing is to do where it is already."""
+        if np.array_equal(qpos, self._posed):
+            return
+        self._posed = np.array(qpos)
         positions, quaternions = self._look.poses(qpos)
         for body, position, wxyz in zip(self._bodies, positions, quaternions, strict=True):
             body.position = position.round(4)

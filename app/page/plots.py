@@ -20,6 +20,7 @@ class Plots:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         nothing = np.zeros(1)
+        self._latest_s = 0.0
         left, right = (_css(SIDE_RGB[side]) for side in Side)
         self._errors = gui.add_uplot(
             (nothing, nothing, nothing),
@@ -58,7 +59,10 @@ class Plots:
         self._errors.data = (number[shown].astype(float), left, right)
 
     def show_forces(self, forces: np.ndarray) -> None:
-        """Time in s, left and right force in N: (3, T)."""
+        """Time in s, left and right force in N: (3, T); nothing is sent where time stands still."""
+        if forces[0, -1] == self._latest_s:
+            return
+        self._latest_s = float(forces[0, -1])
         self._forces.data = (forces[0], forces[1], forces[2])
 
 
