@@ -5,7 +5,9 @@
 Several pages watch one robot that walks as fast as it goes. In each round it gets a goal, a box is
 put down and taken away on its way, so that it plans anew, a page opens and another one vanishes
 without a word, and the scene is drawn --updates times (2,000 are a minute at 30 frames a second).
-Prints what is held after every few rounds. Needs no browser; memory is read from /proc (Linux).
+Prints what is held after every few rounds, how many messages there ever were, and the processor
+time that the opening of a page takes: the median of a few, all threads of the server and of the
+page that opens. Needs no browser; memory is read from /proc (Linux).
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ from __future__ import annotations
 import argparse
 import gc
 import math
+import statistics
 import threading
 import time
 from collections.abc import Callable
@@ -29,6 +32,7 @@ from planner.options import PlannerOptions
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
 PATIENCE_S = 300.0
 ROWS = 12
+OPENINGS = 5
 
 
 def main() -> None:
@@ -55,7 +59,10 @@ def main() -> None:
     page.text_every_s = page.plot_every_s = 0.0
     session.start()
     watchers = [Watcher(server.url) for _ in range(options.watchers)]
-    print("round  drawn   replans  server MB  planner MB  messages  nodes  threads  pages")
+    print(
+        "round  drawn   replans  server MB  planner MB  messages  ever were  nodes  threads  pages"
+        "  opening ms"
+    )
     drawn = replans = 0
     try:
         for number in range(options.rounds + 1):
@@ -107,15 +114,32 @@ def report(
 ) -> None:
     """Prints a row of what is held."""
     gc.collect()
-    messages = len(server._websock_server._broadcast_buffer.message_from_id)
+    opening_ms = 1000 * statistics.median(opening_s(server) for _ in range(OPENINGS))
+    buffer = server._websock_server._broadcast_buffer
     nodes = len(server.scene._handle_from_node_name)
     planner = session.planner_pid
+    planner_mb = 0.0 if planner is None else megabytes(str(planner))
     print(
         f"{number:5d} {drawn:6d} {replans:9d} {megabytes('self'):10.1f} "
-        f"{0.0 if planner is None else megabytes(str(planner)):11.1f} {messages:9d} {nodes:6d} "
-        f"{threading.active_count():8d} {page.visitors:6d}",
+        f"{planner_mb:11.1f} {len(buffer.message_from_id):9d} "
+        f"{buffer.message_counter:10d} {nodes:6d} {threading.active_count():8d} "
+        f"{page.visitors:6d} {opening_ms:11.0f}",
         flush=True,
     )
+
+
+def opening_s(server: PageServer) -> float:
+    """Processor time until one more page has all that is to be seen, while nothing is drawn."""
+    began_s = time.process_time()
+    watcher = Watcher(server.url)
+    until_s = time.monotonic() + PATIENCE_S
+    while not watcher.heard["ReplayDoneMessage"]:
+        if time.monotonic() > until_s:
+            raise TimeoutError("a page that opens is not told all")
+        time.sleep(0.001)
+    took_s = time.process_time() - began_s
+    watcher.close()
+    return took_s
 
 
 def megabytes(process: str) -> float:

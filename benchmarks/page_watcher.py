@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -20,14 +21,16 @@ _SEEN_M = (0.0, -5.0, 5.0)
 class Watcher:
     """Opens the page at an address; hears all that comes until it is closed.
 
-    `heard` counts the messages by kind; `last` has the latest of each kind. `shape_px` is the
-    window's width and height. One that is lazy never reads what it is sent.
+    `heard` counts the messages by kind, `heard_of` by the node that they are about; `last` has the
+    latest of each kind. `shape_px` is the window's width and height. One that is lazy never reads
+    what it is sent.
     """
 
     def __init__(
         self, url: str, *, is_lazy: bool = False, width_px: int = 900, height_px: int = 600
     ) -> None:
         self.heard: Counter[str] = Counter()
+        self.heard_of: Counter[str] = Counter()
         self.last: dict[str, dict[str, Any]] = {}
         self.shape_px = width_px, height_px
         self._socket = connect(
@@ -58,6 +61,18 @@ class Watcher:
             up_direction=(0.0, 0.0, 1.0),
         )
 
+    def click(self, name: str, from_m: Sequence[float], along: Sequence[float]) -> None:
+        """Clicks this node by a ray from a point of the world."""
+        self._send(
+            type="SceneNodeClickMessage",
+            name=name,
+            instance_index=None,
+            ray_origin=tuple(from_m),
+            ray_direction=tuple(along),
+            screen_pos=(0.5, 0.5),
+            modifier=None,
+        )
+
     def close(self) -> None:
         """Closes the page politely."""
         self._socket.close()
@@ -79,6 +94,7 @@ class Watcher:
                 window = msgspec.msgpack.decode(unzip.decompress(raw[16 : 16 + packed]))
                 for message in window["messages"]:
                     self.heard[message["type"]] += 1
+                    self.heard_of[message.get("name", "")] += 1
                     self.last[message["type"]] = message
         except (ConnectionClosed, OSError):
             return

@@ -1,0 +1,137 @@
+"""How long from a click on the page to the footprints of the plan: time on the wall and processor.
+
+    python -m benchmarks.page_click [--map maps/room.png] [--goals 25] [--seed 0]
+
+The robot stands at its start; random places of the floor are clicked, as a browser would, where a
+plan leads. Wall time is from the message that says "clicked" to the first footprints of the plan
+arriving at the page, both over the socket; "planner asked" is that of the planner alone, as the
+page tells it. Processor time is that of the two processes meanwhile: the server, with physics and
+the page that listens in it, and the planner. Needs no browser; processor time of the planner is
+read from /proc (Linux).
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from app.inputs import MapOptions, read_grid
+from app.page.page import Page
+from app.page.server import open_server
+from app.page.session import Session
+from app.page.view import load_robot
+from benchmarks.page_watcher import Watcher
+from planner.options import PlannerOptions
+
+PATIENCE_S = 300.0
+ABOVE_M = 5.0
+# So long nothing must come before the next click.
+QUIET_S = 0.3
+PRINTS = ("/steps/planned_left", "/steps/next_left", "/steps/next_right")
+HEADER = "goal           click to prints  planner asked  server cpu  planner cpu   (ms)"
+
+
+def main() -> None:
+    """Serve, click, and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--map", type=Path, default=Path("maps/room.png"))
+    parser.add_argument("--goals", type=int, default=25)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    grid = read_grid(MapOptions(map=options.map))
+    robot, policy = load_robot("jvrc1")
+    server = open_server(title="clicks")
+    session = Session(grid, robot, policy)
+    page = Page(
+        server,
+        session,
+        robot,
+        robots=(robot.name,),
+        load=lambda _name: (robot, policy),
+        options=PlannerOptions(),
+    )
+    ends = threading.Event()
+    painter = threading.Thread(target=lambda: page.run(ends.is_set))
+    watcher = Watcher(server.url)
+    rng = np.random.default_rng(options.seed)
+    x0, y0, x1, y1 = grid.bounds_world()
+    rows: list[tuple[float, ...]] = []
+    try:
+        session.start()
+        painter.start()
+        wait(lambda: page.visitors == 1)
+        print(HEADER)
+        while len(rows) < options.goals:
+            x_m, y_m = float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1))
+            row = clicked(session, watcher, x_m, y_m)
+            if row is not None:
+                rows.append(row)
+                print_row(f"{x_m:6.2f},{y_m:6.2f}", row)
+    finally:
+        ends.set()
+        if painter.is_alive():
+            painter.join()
+        watcher.close()
+        session.close()
+        server.stop()
+    print_row("median", tuple(np.median(rows, axis=0)))
+    print_row("worst", tuple(np.max(rows, axis=0)))
+
+
+def clicked(session: Session, watcher: Watcher, x_m: float, y_m: float) -> tuple[float, ...] | None:
+    """Milliseconds, in the order of HEADER; None if that goal is refused."""
+    session.reset()
+    wait(lambda: session.snapshot.status == "standing" and session.snapshot.notice is None)
+    wait(lambda: is_quiet(watcher))
+    began, before = (time.monotonic(), time.process_time(), planner_s(session)), prints(watcher)
+    watcher.click("/map/slab", (x_m, y_m, ABOVE_M), (0.0, 0.0, -1.0))
+    wait(lambda: prints(watcher) > before or session.snapshot.notice is not None)
+    if session.snapshot.notice is not None:
+        return None
+    ended = time.monotonic(), time.process_time(), planner_s(session)
+    wall_s, server_cpu_s, planner_cpu_s = (b - a for a, b in zip(began, ended, strict=True))
+    answer_s = session.snapshot.answer_s
+    assert answer_s is not None
+    return 1000 * wall_s, 1000 * answer_s, 1000 * server_cpu_s, 1000 * planner_cpu_s
+
+
+def prints(watcher: Watcher) -> int:
+    """How often the page was told of footprints."""
+    return sum(watcher.heard_of[name] for name in PRINTS)
+
+
+def is_quiet(watcher: Watcher) -> bool:
+    """Whether no footprints come for a while."""
+    before = prints(watcher)
+    time.sleep(QUIET_S)
+    return prints(watcher) == before
+
+
+def planner_s(session: Session) -> float:
+    """Processor time of the planner so far."""
+    nanoseconds = Path(f"/proc/{session.planner_pid}/schedstat").read_text().split()[0]
+    return int(nanoseconds) / 1e9
+
+
+def wait(wanted: Callable[[], bool]) -> None:
+    """Waits until something is so."""
+    until_s = time.monotonic() + PATIENCE_S
+    while not wanted():
+        if time.monotonic() > until_s:
+            raise TimeoutError("waited in vain")
+        time.sleep(0.001)
+
+
+def print_row(name: str, row: tuple[float, ...]) -> None:
+    """Prints milliseconds below the header."""
+    wall, answer, server, planner = row
+    print(f"{name:13s} {wall:16.0f} {answer:14.0f} {server:11.0f} {planner:12.0f}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
