@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from viser import _messages as messages
+from viser.infra import ClientId
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 from app.page.backlog import calm, shorten
@@ -92,7 +93,7 @@ def test_half_of_a_thing_is_not_sent_and_its_own_words_come_back_to_nobody():
         await asyncio.sleep(0.05)
         assert not waits.done()
         own = messages.SetPositionMessage("/own", (0.0, 0.0, 0.0))
-        own.excluded_self_client = 5
+        own.excluded_self_client = ClientId(5)
         buffer.push(own)
         put(buffer, "/b", 1)
         buffer.atomic_end()

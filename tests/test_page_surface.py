@@ -29,6 +29,11 @@ def place(found: Met) -> tuple[float, float, float]:
     return found.x_m, found.y_m, found.z_m
 
 
+def check(found: Met, on: int, place_m: tuple[float, float, float]) -> None:
+    assert found.on == on
+    assert place(found) == pytest.approx(place_m)
+
+
 def test_a_ray_that_meets_nothing_before_ends_on_the_floor():
     found = met(surface_of(HALL), (2.0, 1.0, 1.5), (0.5, -0.25, -1.0))
     assert found.on == FLOOR
@@ -47,25 +52,25 @@ def test_a_wall_is_no_glass():
 
 def test_a_wall_has_a_top_and_may_be_looked_over():
     found = met(surface_of(HALL), (0.05, 1.0, 3.0), (1.0, 0.0, -2.0))
-    assert (found.on, place(found)) == (WALL, pytest.approx((1.05, 1.0, 1.0)))
+    check(found, WALL, (1.05, 1.0, 1.0))
     # At x = 1.1 it is 1.1 m high still.
     found = met(surface_of(HALL), (0.0, 1.0, 3.3), (1.0, 0.0, -2.0))
-    assert (found.on, place(found)) == (FLOOR, pytest.approx((1.65, 1.0, 0.0)))
+    check(found, FLOOR, (1.65, 1.0, 0.0))
     found = met(surface_of(HALL), (1.05, 0.5, 3.0), (0.0, 0.0, -1.0))
-    assert (found.on, place(found)) == (WALL, pytest.approx((1.05, 0.5, 1.0)))
+    check(found, WALL, (1.05, 0.5, 1.0))
 
 
 def test_what_the_eye_is_in_is_glass():
     found = met(surface_of(HALL), (1.05, 1.0, 0.5), (1.0, 0.0, -1.0))
-    assert (found.on, place(found)) == (FLOOR, pytest.approx((1.55, 1.0, 0.0)))
+    check(found, FLOOR, (1.55, 1.0, 0.0))
 
 
 def test_beyond_the_map_is_floor_and_above_the_horizon_nothing():
     surface = surface_of(HALL)
     found = met(surface, (2.0, 1.0, 1.0), (2.0, 0.0, -1.0))
-    assert (found.on, place(found)) == (FLOOR, pytest.approx((4.0, 1.0, 0.0)))
+    check(found, FLOOR, (4.0, 1.0, 0.0))
     found = met(surface, (5.0, 9.0, 1.0), (0.0, 0.1, -1.0))
-    assert (found.on, place(found)) == (FLOOR, pytest.approx((5.0, 9.1, 0.0)))
+    check(found, FLOOR, (5.0, 9.1, 0.0))
     assert surface.met((2.0, 1.0, 1.5), (1.0, 0.0, 0.1)) is None
     # A ray that rises may meet a wall all the same.
     assert met(surface, (2.0, 1.0, 0.5), (-1.0, 0.0, 0.1)).on == WALL
@@ -75,17 +80,17 @@ def test_a_box_hides_what_is_behind_it_and_has_a_number():
     box = snapped(Obstacle(number=7, x_m=2.0, y_m=1.0, size_x_m=0.2, size_y_m=0.2), HALL)
     surface = surface_of(HALL).with_boxes([box])
     found = met(surface, (2.0, 0.0, 0.9), (0.0, 1.8, -0.9))
-    assert (found.on, place(found)) == (7, pytest.approx((2.0, 0.9, 0.45)))
+    check(found, 7, (2.0, 0.9, 0.45))
     assert met(surface_of(HALL), (2.0, 0.0, 0.9), (0.0, 1.8, -0.9)).on == FLOOR
     beside = met(surface, (2.2, 0.0, 0.9), (0.0, 1.8, -0.9))
-    assert (beside.on, place(beside)) == (FLOOR, pytest.approx((2.2, 1.8, 0.0)))
+    check(beside, FLOOR, (2.2, 1.8, 0.0))
 
 
 def test_a_map_may_be_turned_in_the_world():
     turned = OccupancyGrid(cells=CELLS, resolution_m=0.1, origin=(5.0, -3.0, math.pi / 2))
     # The grid's x is the world's y, and its y the world's -x.
     found = met(surface_of(turned), (4.0, -3.0, 1.0), (0.0, 2.5, -1.0))
-    assert (found.on, place(found)) == (WALL, pytest.approx((4.0, -2.0, 0.6)))
+    check(found, WALL, (4.0, -2.0, 0.6))
 
 
 def test_on_steps_a_ray_ends_on_the_tread_or_at_the_riser():
@@ -102,7 +107,7 @@ def test_on_steps_a_ray_ends_on_the_tread_or_at_the_riser():
         ((0.0, 1.0, 0.7), (2.0, 0.0, -1), (1.0, 1.0, 0.2)),
     ):
         found = met(stairs, origin, direction)
-        assert (found.on, place(found)) == (FLOOR, pytest.approx(wanted))
+        check(found, FLOOR, wanted)
 
 
 def test_walls_are_as_high_as_they_are_drawn():
