@@ -53,7 +53,7 @@ class Course:
     policy: Path | None
     unknown_is_free: bool
     planner: str = PlannerOptions.name
-    refine: bool = False
+    refine: bool = True
 
 
 def run(options: TrialsOptions) -> int:

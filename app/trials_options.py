@@ -31,8 +31,8 @@ class TrialsOptions(MapOptions):
     planner: PlannerName = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
-    refine: bool = False
-    """Move the steps off the lattice to where they cost less; the policies were not trained so."""
+    refine: bool = True
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
 
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
