@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from app.cli import main
+from app.errors import ExitCode
 from app.page.boxes import Obstacle, snapped, with_obstacles
 from app.page.pace import Pace
 from app.page.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
@@ -134,3 +136,15 @@ def test_the_button_that_is_pressed_is_marked_and_means_the_same():
     names = marked(SPEEDS, "Slow")
     assert [name for name in names if name.startswith(CHOSEN)] == [f"{CHOSEN}Slow"]
     assert [unmarked(name) for name in names] == list(SPEEDS)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [("-1.95,0,0", "the nearest free pose is -"), ("9,0,0", "is off the map")],
+)
+def test_serve_refuses_a_start_where_nobody_can_stand(start, words, capsys, monkeypatch):
+    monkeypatch.setattr("app.serve.open_server", pytest.fail)
+    assert main(["serve", "--map", "maps/room.png", "--start", start]) == ExitCode.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"--start {start}" in line
+    assert words in line
