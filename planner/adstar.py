@@ -9,7 +9,6 @@ where the last one stopped.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from planner import search
@@ -18,8 +17,6 @@ from planner.kept import KeptTree
 from planner.options import PlannerOptions
 from planner.request import Request, Result, first_nodes, found, no_first_step
 from planner.search import NO_COST
-from planner.space import Int64s
-from planner.task import least_toward_goal
 
 _NAME = "adstar"
 
@@ -47,26 +44,19 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     least_um = max(least_um, view.least_um)
     if view.best_um < NO_COST:
         is_enough = is_first and options.stop_at_first
-        for bound_um in _bounds(request, kept, nodes, costs_um):
-            if is_enough or view.best_um <= wanted * least_um:
-                return _at_once(request, kept, least_um, expansions, began)
-            least_um = max(least_um, bound_um())
-        if view.best_um <= wanted * least_um:
+        bounds = kept.bounds(request, nodes, costs_um)
+        while not (is_enough or view.best_um <= wanted * least_um):
+            bound_um = next(bounds, None)
+            if bound_um is None:
+                break
+            least_um = max(least_um, bound_um)
+        else:
             return _at_once(request, kept, least_um, expansions, began)
     run = Run(request, replace(options, final_epsilon=wanted), began)
     run.begin_with(view.best_um, least_um, expansions)
-    result = run.result(kept.task(request), kept.tree)
+    result = run.result(kept.task(request, wanted), kept.tree)
     kept.tree, kept.open_um = run.tree, run.open_um
     return result
-
-
-def _bounds(
-    request: Request, kept: KeptTree, nodes: Int64s, costs_um: Int64s
-) -> Iterator[Callable[[], int]]:
-    """Ways to know what any plan from first steps (n,) costs at least, each dearer to ask."""
-    if request.toward.region.is_point:
-        yield lambda: kept.least_by_path(request, nodes, costs_um)
-    yield lambda: least_toward_goal(request, nodes, costs_um)
 
 
 def _at_once(

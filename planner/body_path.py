@@ -151,7 +151,7 @@ def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPa
     """
     goal = space.origin_row * space.cols + space.origin_col
     cost_um = _spread_everywhere(space, guide, np.array([goal]), np.array([0]))
-    cells, costs_um = _ring_on_map(space, endgame)
+    cells, costs_um = ring_on_map(space, endgame)
     if len(cells):
         # Cells that are shut are known by now.
         shut_um = np.where(cost_um == SHUT_CELL, cost_um, np.int32(0))
@@ -179,7 +179,7 @@ def _spread_everywhere(
     return cost_um
 
 
-def _ring_on_map(space: Space, endgame: Endgame) -> tuple[Int64s, Int64s]:
+def ring_on_map(space: Space, endgame: Endgame) -> tuple[Int64s, Int64s]:
     """Cells (n,) of the endgame's ring that lie on the lattice, and their costs."""
     col = endgame.ring[:, 0] + space.origin_col
     row = endgame.ring[:, 1] + space.origin_row

@@ -13,13 +13,14 @@ would still have to be found.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner import search
-from planner.body_path import Strip, path_toward
 from planner.change import Change
+from planner.drawn import FURTHER_UM, heuristic_on_the_way
 from planner.graft import find_best, graft, renew, reopen, shift_um
 from planner.lattice import final_cost_um
 from planner.mend import border, cut
@@ -54,7 +55,7 @@ class KeptTree:
         self.tree.scalars[search.SLACK_UM] = NO_COST
         self.heuristic: Heuristic | None = None
         self.open_um = 0
-        self._strip: Strip | None = None
+        self._ahead: Heuristic | None = None
 
     def graft(self, space: Space, nodes: Int64s) -> None:
         """Takes the end of a plan (n,), its steps in their order, into the tree."""
@@ -83,28 +84,37 @@ class KeptTree:
             least = self.open_um - shift_um(request.space, self.heuristic, tree)
         return View(best_um=best, least_um=max(0, min(best, least)))
 
-    def least_by_path(self, request: Request, nodes: Int64s, costs_um: Int64s) -> int:
-        """What any plan from first steps (n,) costs at least by the path of the body to the goal.
+    def bounds(self, request: Request, nodes: Int64s, costs_um: Int64s) -> Iterator[int]:
+        """What any plan from first steps (n,) costs at least: as was known, then found for these.
 
-        The path costs of one start hold for all; it knows the next ones on its way.
+        A heuristic toward the goal holds for every start; it says less of those that lie apart from
+        the way that it was made for.
         """
-        potential = request.toward.tables.potential
-        cells = body_cells_of(request.toward, nodes)
-        if self._strip is None:
-            self._strip = path_toward(request.space, potential, np.unique(cells))
-        potential_um = potential.potential_um.reshape(-1)[nodes % (2 * request.space.headings)]
-        return int((costs_um + self._strip.least_um(cells) + potential_um).min())
+        toward = request.toward
+        if self._ahead is not None:
+            yield _least(request, self._ahead, nodes, costs_um)
+        is_point = toward.region.is_point
+        self._ahead = heuristic_on_the_way(toward, nodes) if is_point else toward.heuristic
+        yield _least(request, self._ahead, nodes, costs_um)
 
     def plan(self) -> Int64s:
         """Nodes (n,) of the best plan from the start that was looked at, but for its last."""
         return np.array(search.trace(self.tree, int(self.tree.scalars[search.BEST_NODE]))[::-1])
 
-    def task(self, request: Request) -> Task:
-        """The search that goes on from the tree to the start that was looked at."""
+    def task(self, request: Request, wanted: float) -> Task:
+        """The search that goes on from the tree to the start that was looked at.
+
+        If there is a plan it ends once that costs at most wanted times the least.
+        """
         tree = self.tree
+        further_um: int | None = None
+        best_um = int(tree.scalars[search.BEST_UM])
+        if self._ahead is not None and best_um < NO_COST:
+            least_um = _least_by_path(request, self._ahead, tree.goals, tree.goal_um)
+            further_um = FURTHER_UM + max(0, int(best_um / wanted) - least_um)
         if tree.scalars[search.ROUND] > _MOST_ROUNDS:
             renew(tree)
-        self.heuristic = heuristic_toward_start(request, tree.goals, tree.goal_um)
+        self.heuristic = heuristic_toward_start(request, tree.goals, tree.goal_um, further_um)
         self.open_um = 0
         return Task(
             space=request.space,
@@ -119,17 +129,15 @@ class KeptTree:
 
     def mend(self, space: Space, change: Change) -> None:
         """Goes over to the lattice after a change of the map."""
-        removed = cut(space, self.tree, change.cells)
+        removed = cut(space, self.tree, change.shut)
         renew(self.tree)
         # Where nothing became cheaper only what was cut off has to be reached another way.
-        cells = change.cells if change.frees else change.cells[:0]
-        again = border(space, self.tree, removed, cells)
+        again = border(space, self.tree, removed, change.freed)
         self._make_room(len(again))
         reopen(self.tree, again)
-        if change.frees:
-            self._strip = None
+        if len(change.freed):
             # Ways that the heuristic knows nothing of may be shorter than what it says.
-            self.heuristic, self.open_um = None, 0
+            self.heuristic, self._ahead, self.open_um = None, None, 0
         elif self.heuristic is not None and len(again):
             values_um = search.estimates(space, self.heuristic, again.astype(np.int64))
             self.open_um = min(self.open_um, int((self.tree.cost_um[again] + values_um).min()))
@@ -137,3 +145,14 @@ class KeptTree:
     def _make_room(self, entries: int) -> None:
         while self.tree.scalars[search.USED] + entries > len(self.tree.entry_node):
             self.tree = search.with_more_entries(self.tree)
+
+
+def _least(request: Request, heuristic: Heuristic, nodes: Int64s, costs_um: Int64s) -> int:
+    return int((costs_um + search.estimates(request.space, heuristic, nodes)).min())
+
+
+def _least_by_path(request: Request, heuristic: Heuristic, nodes: Int64s, costs_um: Int64s) -> int:
+    """The same by the path of the body alone."""
+    rows = nodes % (2 * request.space.headings)
+    path_um = heuristic.cost_um[body_cells_of(request.toward, nodes)].astype(np.int64) - 1
+    return int((costs_um + np.maximum(path_um, 0) + heuristic.potential_um[rows]).min())

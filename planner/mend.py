@@ -1,8 +1,8 @@
 """Mending a kept search tree after a change of the map, compiled.
 
 A node whose step from the one before it is no longer allowed, or costs more, is cut off with all
-that hangs on it. What borders on the cut is open again, and where something may be cheaper than
-before all that is near it: the search then finds the rest anew.
+that hangs on it. What borders on the cut is open again, and so is what may lower others where
+something became free: the search then finds the rest anew.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def border(
     removed: Nodes,
     cells: NDArray[np.int64],
 ) -> Nodes:
-    """Known nodes (n,) from which steps lead to removed ones, and all known ones of some cells.
+    """Known nodes (n,) from which steps may lead to removed ones, or lower others from some cells.
 
     Rounds must have been counted anew (see `graft.renew`).
     """
@@ -99,7 +99,9 @@ def border(
     for i in range(len(cells)):
         for row in range(rows):
             node = cells[i] * rows + row
-            if tree.cost_um[node] != 0 and tree.round[node] != _MARK:
+            if tree.cost_um[node] == 0 or tree.round[node] == _MARK:
+                continue
+            if _may_lower(space, tree, node):
                 tree.round[node] = _MARK
                 found = _with_room(found, number)
                 found[number] = node
@@ -107,6 +109,21 @@ def border(
     for i in range(number):
         tree.round[found[i]] = 0
     return found[:number]
+
+
+@njit(cache=True)
+def _may_lower(space: Space, tree: Tree, node: int) -> bool:
+    """Whether a step from a node would come to a free one that is not known, or is for less."""
+    row = node % (2 * space.headings)
+    for k in range(tree.steps.shape[1]):
+        if tree.steps[row, k, COST_UM] == 0:
+            continue
+        to = node + tree.steps[row, k, D_NODE]
+        old = np.int64(tree.cost_um[to])
+        is_lower = old == 0 or tree.cost_um[node] + tree.steps[row, k, COST_UM] < old
+        if is_lower and node_free(space, to):
+            return True
+    return False
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from planner import search
 from planner.body_path import spread_from
+from planner.drawn import draw_path
 from planner.lattice import final_cost_um
 from planner.request import Request
 from planner.search import Heuristic, Tree
@@ -103,10 +104,15 @@ def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
     )
 
 
-def heuristic_toward_start(request: Request, nodes: Int64s, costs_um: Int64s) -> Heuristic:
+def heuristic_toward_start(
+    request: Request, nodes: Int64s, costs_um: Int64s, further_um: int | None = None
+) -> Heuristic:
     """Least cost from the start, by the inequality (1) of `guide.py` summed from a first step s.
 
     h(t) = min over s of [ cost(s) + p(s) + D(cell(s), cell(t)) ] - p(t).
+
+    further_um: D may be too low, and is found sooner, where only paths to the goal pass that cost
+    so much more than the cheapest.
     """
     toward = request.toward
     potential_um = toward.tables.potential.potential_um.reshape(-1)
@@ -115,7 +121,12 @@ def heuristic_toward_start(request: Request, nodes: Int64s, costs_um: Int64s) ->
     least_um = np.full(len(cells), np.iinfo(np.int64).max)
     np.minimum.at(least_um, index, value_um)
     base_um = int(least_um.min())
-    path = spread_from(request.space, toward.tables.potential, cells, least_um - base_um)
+    seeds = cells, least_um - base_um
+    if further_um is None:
+        path = spread_from(request.space, toward.tables.potential, *seeds)
+    else:
+        ends = np.unique(body_cells_of(toward, toward.ends))
+        path = draw_path(request.space, toward.tables.potential, *seeds, ends, further_um)
     rows = len(potential_um)
     return Heuristic(
         path.cost_um,

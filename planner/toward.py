@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.body_path import search_body_path
+from planner.body_path import BodyPath, search_body_path
 from planner.change import change_between, over
 from planner.collision import Terrain
 from planner.exits import SECTORS
@@ -38,12 +38,18 @@ class Toward:
     @cached_property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal, good for any start."""
-        space, exits = self.space, self.tables.exits
+        space = self.space
         if not self.region.is_point and len(self.ends):
             return heuristic_toward_region(
                 space, self.model, self.tables, self.body_cell, self.ends, self.region
             )
-        path = search_body_path(space, self.tables.potential, self.tables.endgame)
+        return self.heuristic_by(
+            search_body_path(space, self.tables.potential, self.tables.endgame)
+        )
+
+    def heuristic_by(self, path: BodyPath) -> Heuristic:
+        """The heuristic toward the goal's own pose with these path costs of the body."""
+        space, exits = self.space, self.tables.exits
         return Heuristic(
             path.cost_um,
             path.frontier_um,

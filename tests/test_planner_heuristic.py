@@ -79,14 +79,15 @@ def estimated_m(space, heuristic, node):
     return search.estimate(space, heuristic, (cell * space.headings + heading) * 2 + side) / 1e6
 
 
+@pytest.mark.parametrize("further_um", [None, 0, 500_000])
 @pytest.mark.parametrize("name", CASES)
-def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name):
+def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name, further_um):
     grid, start, goal = CASES[name]
     model = small_model()
     oracle = Oracle(grid, model, goal)
     request = request_of(grid, model, start, goal)
     nodes, costs_um = first_nodes(request)
-    heuristic = heuristic_toward_start(request, nodes, costs_um)
+    heuristic = heuristic_toward_start(request, nodes, costs_um, further_um)
     known = {oracle_node(request.space, int(node)) for node in nodes}
     # The search keeps the feet a little farther apart in the first step than the oracle does.
     cost_m = oracle.costs_from(

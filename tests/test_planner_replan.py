@@ -25,6 +25,15 @@ MODELS = {
     "plain": small_model(),
     "shy": small_model(clearance_m=0.3, clearance_cost_m=0.2, body_margin_m=0.02),
 }
+# Floors with walls, and start and goal there: a small one, and one on which there is far to go.
+FLOORS = {
+    "small": (walled(boxes=((0, 11, 12, 12), (17, 5, 18, 9))), (0.55, 0.6, 0.3), (1.8, 1.7, 0.4)),
+    "large": (
+        walled(56, 60, boxes=((0, 24, 36, 26), (28, 40, 56, 42), (12, 8, 14, 20))),
+        (0.55, 0.6, 0.3),
+        (5.2, 4.7, 0.4),
+    ),
+}
 
 
 def optimum(grid, model, **query):
@@ -62,13 +71,16 @@ def changed(grid, rng, at, frees):
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 @pytest.mark.parametrize("options", [KEPT, PROVEN], ids=["kept", "proven"])
-@pytest.mark.parametrize("seed", range(3))
-def test_after_any_steps_and_changes_the_plan_is_right_and_the_bound_true(seed, options, model):
+@pytest.mark.parametrize(
+    ("floor", "seed"), [("small", 0), ("small", 1), ("small", 2), ("large", 3)]
+)
+def test_after_any_steps_and_changes_the_plan_is_right_and_the_bound_true(
+    floor, seed, options, model
+):
     rng = np.random.default_rng(seed)
-    goal = (1.8, 1.7, 0.4)
-    grid = walled(boxes=((0, 11, 12, 12), (17, 5, 18, 9)))
+    grid, start, goal = FLOORS[floor]
     planner = Planner(grid, model, options)
-    plan = planner.plan(start=(0.55, 0.6, 0.3), goal=goal)
+    plan = planner.plan(start=start, goal=goal)
     assert plan.found
     feet, side, found = np.array(plan.start_feet_world), None, 0
     for _ in range(12):
