@@ -42,7 +42,7 @@ def over(space: Space, terrain: Terrain, change: Change) -> Space:
     space.node_state.reshape(-1, 2 * space.headings)[change.cells] = UNKNOWN
     # Distances change far from what is near to them, and are quickly measured again.
     space.half_clear_m.fill(0.0)
-    space.pair_key.fill(-1)
+    space.pair_key.fill(0)
     return space._replace(terrain=terrain)
 
 
