@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -10,7 +11,7 @@ from numpy.typing import DTypeLike, NDArray
 _SMALL_BYTES = 1 << 20
 
 
-def zeros(count: int, dtype: DTypeLike) -> NDArray:
+def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """Zeros (count,) that take up memory only on the small pages where they are written.
 
     numpy asks for huge pages: each takes 2 MB and the time to clear them for a single number. Where

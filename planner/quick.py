@@ -3,8 +3,8 @@
 The path comes from A* over the body's cells, from the goal toward the start. It looks at a few of
 the cells that the heuristic of the full search wants to know; the search for steps then keeps to
 those cells, weighs their path cost more than it is due, and goes from place to place rather than
-from state to state (`places.py`). Where it finds nothing nothing is lost: the full search follows in
-any case, or proves what is asked.
+from state to state (`places.py`). Where it finds nothing nothing is lost: the full search follows
+in any case, or proves what is asked.
 """
 
 from __future__ import annotations
