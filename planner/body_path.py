@@ -23,7 +23,7 @@ from planner.spread import (
     spread_costs,
 )
 
-_MARGIN_MOVES = 9
+_MARGIN_MOVES = 8
 
 
 class BodyPath(NamedTuple):
@@ -66,11 +66,11 @@ def path_toward(space: Space, guide: Potential, cells: Int64s) -> Strip:
     # By how much the straight way to one of the cells may be shorter than that to their middle.
     ahead = ahead._replace(slack_um=int(_all_ahead(ahead, space.cols, cells).max()))
     # What else is wanted lies at most twice the slack behind the first of it.
-    beyond = 2 * ahead.slack_um // level_um + _MARGIN_MOVES
+    beyond_um = 2 * ahead.slack_um + _MARGIN_MOVES * level_um
     cost_um = np.zeros(space.cols * space.rows, np.int32)
     seeds = np.array([space.origin_row * space.cols + space.origin_col]), np.array([0])
-    moves = moves_of(space, guide)
-    settled_um = spread_costs(space, cost_um, *seeds, moves, cells, beyond, EVERYWHERE, ahead)
+    moves = moves_of(guide)
+    settled_um = spread_costs(space, cost_um, *seeds, moves, cells, beyond_um, EVERYWHERE, ahead)
     return Strip(cost_um, settled_um, space.cols, ahead)
 
 
@@ -79,7 +79,7 @@ def _all_ahead(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
     """`ahead_um` of cells (n,)."""
     values_um = np.empty(len(cells), np.int64)
     for i in range(len(cells)):
-        values_um[i] = ahead_um(ahead, cols, cells[i])
+        values_um[i] = ahead_um(ahead, cells[i] % cols, cells[i] // cols)
     return values_um
 
 
@@ -91,11 +91,13 @@ def raise_by_arrival(
     ahead: Ahead,
     inside: NDArray[np.bool_],
     arrive_um: Int64s,
+    exact_um: int,
 ) -> int:
     """Adds to all path costs what it costs to arrive from there (see `facing.py`).
 
     From a cell whose path to the goal is straight and within the ring of the endgame the table says
-    it. All other ways arrive like that from the start, which is also what is returned.
+    it; up to exact_um the search looks there itself. All other ways arrive like that from the
+    start, which is also what is returned.
     """
     far_um = 0
     cell = start
@@ -108,7 +110,10 @@ def raise_by_arrival(
     for cell in range(len(cost_um)):
         if cost_um[cell] > 0:
             place = _straight_place(space, cell, cost_um[cell], ahead, inside)
-            cost_um[cell] += arrive_um[place] if place[0] >= 0 else far_um
+            if place[0] < 0:
+                cost_um[cell] += far_um
+            elif cost_um[cell] > exact_um:
+                cost_um[cell] += arrive_um[place]
     return far_um
 
 
@@ -126,7 +131,7 @@ def _straight_place(
     row = cell // space.cols - space.origin_row + reach
     if not (0 <= col <= 2 * reach and 0 <= row <= 2 * reach and inside[row, col]):
         return -1, -1
-    if path_um - 1 > ahead_um(ahead, space.cols, cell):
+    if path_um - 1 > ahead_um(ahead, cell % space.cols, cell // space.cols):
         return -1, -1
     return row, col
 
@@ -174,7 +179,7 @@ def _spread_everywhere(
 ) -> NDArray[np.int32]:
     """Path costs (rows * cols,) from cells (n,), in the array given, where shut cells are known."""
     cost_um = np.zeros(space.cols * space.rows, np.int32) if shut_um is None else shut_um
-    moves = moves_of(space, guide)
+    moves = moves_of(guide)
     spread_costs(space, cost_um, cells, costs_um, moves, NO_CELLS, 0, EVERYWHERE, NOT_DRAWN)
     return cost_um
 

@@ -47,7 +47,7 @@ def over(space: Space, terrain: Terrain, change: Change) -> Space:
     state[change.shut], state[change.freed] = UNKNOWN, UNKNOWN
     # Distances change far from what is near to them, and are quickly measured again.
     space.half_clear_m.fill(0.0)
-    space.pair_key.fill(-1)
+    space.pair_key.fill(0)
     return space._replace(terrain=terrain)
 
 

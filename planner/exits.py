@@ -27,6 +27,7 @@ from planner.lattice import IntArray, StepTable
 
 SECTORS = 16
 _RADIUS_CELLS = 14
+_RING_CELLS = 2.3  # a path does not pass over so many
 _FAR_UM = 1 << 40
 
 
@@ -35,11 +36,13 @@ class Exits:
     """The part of the bound that belongs to a step model.
 
     turn_um (2 H, SECTORS): the first part, per heading * 2 + side. rim (n, 4): col, row, sector
-    and cost W in micrometres of the cells of the rim, from the circle's centre. radius_cells: R.
+    and cost W in micrometres of the cells of the rim, from the circle's centre. ring (m, 4): the
+    nearest of them, enough for an estimate. radius_cells: R.
     """
 
     turn_um: IntArray
     rim: IntArray
+    ring: IntArray
     radius_cells: int
 
 
@@ -69,7 +72,8 @@ def build_exits(table: StepTable, guide: Potential) -> Exits:
             steps,
         )
     rim = np.column_stack([v[on_rim] for v in (col, row, sector, straight_um)])
-    return Exits(turn_um=turn_um, rim=rim, radius_cells=_RADIUS_CELLS)
+    ring = rim[length[on_rim] <= _RADIUS_CELLS + _RING_CELLS]
+    return Exits(turn_um=turn_um, rim=rim, ring=ring, radius_cells=_RADIUS_CELLS)
 
 
 def straight_cost(cols: IntArray, rows: IntArray, guide: Potential) -> IntArray:

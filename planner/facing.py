@@ -17,7 +17,7 @@ from planner.guide import Potential
 from planner.lattice import IntArray
 
 _AWAY_CELLS = 50
-_EXACT = 0.45  # of the cap of the table: up to here it knows nearly all headings
+_EXACT = 0.45  # of the cap of the table
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,11 +26,12 @@ class Facing:
 
     depart_um (2 H, SECTORS): to go off toward the middle of a sector, per heading * 2 + side, the
     cost of the last step included. arrive_um (2 n + 1, 2 n + 1): to come from a body cell (goal in
-    the middle); 0 near the goal, where the table itself says it.
+    the middle). exact_um: up to here the table itself knows nearly all headings.
     """
 
     depart_um: IntArray
     arrive_um: IntArray
+    exact_um: int
 
 
 def build_facing(guide: Potential, endgame: Endgame) -> Facing:
@@ -46,6 +47,7 @@ def build_facing(guide: Potential, endgame: Endgame) -> Facing:
     return Facing(
         depart_um=along_um[turned * 2 + side[:, None]],
         arrive_um=_arrivals(guide, endgame, int(along_um[:2].min())),
+        exact_um=int(_EXACT * endgame.cap_um),
     )
 
 
@@ -59,7 +61,7 @@ def _arrivals(guide: Potential, endgame: Endgame, aligned_um: int) -> IntArray:
     sides = [_costs_at(guide, endgame, col, row, 2 * toward + side) for side in range(2)]
     straight_um = straight_cost(col, row, guide)
     arrive_um = np.minimum(*sides) - straight_um - aligned_um
-    return np.where(straight_um < _EXACT * endgame.cap_um, 0, np.maximum(arrive_um, 0))
+    return np.maximum(arrive_um, 0)
 
 
 def _costs_at(

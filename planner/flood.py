@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.pages import zeros
 from planner.rise import step_climbs
 from planner.space import (
     COST_UM,
@@ -59,7 +60,7 @@ class Flood(NamedTuple):
 
 def new_flood(space: Space, seeds: NDArray[np.int64], goals: NDArray[np.int64]) -> Flood:
     """Floods from the first steps (n,) and from the goal's nodes (2,), neither gone on yet."""
-    seen = np.zeros(space.cols * space.rows * space.headings * 2, np.uint8)
+    seen = zeros(space.cols * space.rows * space.headings * 2, np.uint8)
     forward = np.unique(seeds).astype(np.int32)
     backward = np.array([goal for goal in goals if node_free(space, int(goal))], np.int32)
     seen[forward] = FORWARD

@@ -18,7 +18,7 @@ from planner.spread import EVERYWHERE, NO_CELLS, NOT_DRAWN, moves_of, spread_cos
 from planner.task import Task
 from planner.toward import Toward
 
-_BEYOND = 8  # least moves by which the path costs reach beyond the cells asked for
+_BEYOND_MOVES = 8  # by which the path costs reach beyond the cells asked for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +119,9 @@ def _heuristic(
         cost_um,
         target.cells,
         np.zeros(len(target.cells), np.int64),
-        moves_of(space, tables.potential),
+        moves_of(tables.potential),
         wanted if mask is None else NO_CELLS,
-        _BEYOND,
+        _BEYOND_MOVES * int(tables.potential.move_um.min()),
         EVERYWHERE if mask is None else mask,
         NOT_DRAWN,
     )

@@ -2,8 +2,9 @@
 
 The path comes from A* over the body's cells, from the goal toward the start. It looks at a few of
 the cells that the heuristic of the full search wants to know; the search for steps then keeps to
-those cells and weighs their path cost more than it is due. Where it finds nothing nothing is lost:
-the full search follows in any case, or proves what is asked.
+those cells, weighs their path cost more than it is due, and goes from place to place rather than
+from state to state (`places.py`). Where it finds nothing nothing is lost: the full search follows
+in any case, or proves what is asked.
 """
 
 from __future__ import annotations
@@ -17,13 +18,16 @@ from planner.body_path import Strip, path_toward, raise_by_arrival
 from planner.exits import SECTORS
 from planner.lattice import final_cost_um
 from planner.options import PlannerOptions
+from planner.pages import zeros
+from planner.places import EVERY_STATE, places_of
 from planner.request import Request
 from planner.search import Heuristic
 from planner.space import Int64s
 from planner.task import Task
 from planner.toward import body_cells_of
 
-_TRIES = (2.0, 3000), (3.0, 12000)  # weights, with as many expansions as each may take
+# Weights, with as many expansions as each may take, and whether by places or by all states.
+_TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +63,8 @@ def quick_path(
             toward.tables.endgame.cost_um,
             toward.tables.endgame.cap_um,
             toward.tables.facing.depart_um,
-            np.zeros((request.space.cols * request.space.rows, SECTORS), np.int32),
-            exits.rim,
+            zeros(request.space.cols * request.space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
+            exits.ring,
             exits.radius_cells,
         ),
         steps=request.space.steps,
@@ -71,8 +75,9 @@ def quick_path(
         goal_um=np.full(2, final_cost_um(request.model)),
     )
     expansions = 0
-    for epsilon, budget in _TRIES:
-        tree = task.tree()
+    for epsilon, budget, by_places in _TRIES:
+        places = places_of(task.space) if by_places else EVERY_STATE
+        tree = task.tree()._replace(places=places)
         weight = max(options.epsilon, epsilon)
         search.begin_round(task.space, task.heuristic, tree, weight)
         budget = min(budget, options.max_expansions - expansions)
@@ -94,7 +99,7 @@ def _lift(request: Request, path: Strip, start: int) -> int:
     Near the goal the exact table counts every turn, farther off nothing does. A search that weighs
     the heuristic would go along the border between the two and look everywhere outside first.
     """
-    endgame, facing = request.toward.tables.endgame, request.toward.tables.facing
-    space = request.space
+    space, tables = request.space, request.toward.tables
     goal = path.ahead._replace(col=space.origin_col, row=space.origin_row, slack_um=0)
-    return raise_by_arrival(space, path.cost_um, start, goal, endgame.inside, facing.arrive_um)
+    table = tables.endgame.inside, tables.facing.arrive_um, tables.facing.exact_um
+    return raise_by_arrival(space, path.cost_um, start, goal, *table)

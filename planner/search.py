@@ -19,6 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.exits import exit_bound
+from planner.places import Places, takes_place
 from planner.rise import step_climbs
 from planner.space import (
     BLOCKED,
@@ -80,7 +81,7 @@ class Tree(NamedTuple):
     head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
     plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
     scalars[SLACK_UM]: states are kept that cost up to so much more than the best plan; 0 for a tree
-    that is not used again.
+    that is not used again. places: see `places.py`.
     """
 
     steps: NDArray[np.int64]
@@ -95,6 +96,7 @@ class Tree(NamedTuple):
     goals: NDArray[np.int64]
     goal_um: NDArray[np.int64]
     scalars: NDArray[np.int64]
+    places: Places
 
 
 @njit(cache=True)
@@ -197,6 +199,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     queued = 128 + scalars[ROUND]
     limit_um = _limit_um(scalars)
     nodes = np.empty(scalars[USED], np.int64)
+    values_um = np.empty(scalars[USED], np.int64)
     number = 0
     for bucket in range(BUCKETS + 1):
         entry = tree.head[bucket]
@@ -207,17 +210,17 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
             stale = bucket < BUCKETS and tree.round[node] == scalars[ROUND] - 1
             if stale or tree.round[node] == queued:
                 continue
-            if tree.cost_um[node] + estimate(space, heuristic, node) >= limit_um:
+            value = estimate(space, heuristic, node)
+            if tree.cost_um[node] + value >= limit_um:
                 continue
             tree.round[node] = queued
-            nodes[number] = node
+            nodes[number], values_um[number] = node, value
             number += 1
     scalars[USED] = 0
     scalars[CURSOR] = BUCKETS
     least, low, high = _NO_KEY, _NO_KEY, 0
     for i in range(number):
-        value = estimate(space, heuristic, nodes[i])
-        cost = tree.cost_um[nodes[i]]
+        value, cost = values_um[i], tree.cost_um[nodes[i]]
         least = min(least, cost + value)
         low = min(low, cost + int(epsilon * value))
         high = max(high, cost + int(epsilon * value))
@@ -228,8 +231,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     while (span >> scalars[SHIFT]) >= BUCKETS - 1:
         scalars[SHIFT] += 1
     for i in range(number - 1, -1, -1):
-        value = estimate(space, heuristic, nodes[i])
-        _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * value))
+        _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * values_um[i]))
     return least
 
 
@@ -263,6 +265,10 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
         if rounds[node] == scalars[ROUND]:
             continue
         rounds[node] = scalars[ROUND]
+        if len(tree.places.least_um) > 0:
+            value = estimate(space, heuristic, node)
+            if not takes_place(space, tree.places, node, value):
+                continue
         scalars[EXPANSIONS] += 1
         if _expand_node(space, heuristic, tree, epsilon, node):
             return IMPROVED

@@ -19,6 +19,7 @@ from planner.collision import Terrain, box_free, point_clearance
 from planner.ground import box_heights
 from planner.lattice import MICRO, StepTable
 from planner.model import StepModel
+from planner.pages import zeros
 
 UNKNOWN, FREE, BLOCKED = 0, 1, 2
 _PAIR_SLOTS = 1 << 18
@@ -145,14 +146,14 @@ def build_space(
         clearance=_clearance(model),
         cos=np.cos(half_bins),
         sin=np.sin(half_bins),
-        node_state=np.zeros(nodes, np.uint8),
-        half_clear_m=np.zeros(4 * cols * rows, np.float32),
-        pair_key=np.full(_PAIR_SLOTS, -1, np.int64),
+        node_state=zeros(nodes, np.uint8),
+        half_clear_m=zeros(4 * cols * rows, np.float32),
+        pair_key=zeros(_PAIR_SLOTS, np.int64),
         tread=_half_box(model.foot.length_m, model.foot.width_m, model.level_margin_m),
         sole=_half_box(model.foot.length_m, model.foot.width_m, 0.0),
         swing_reach_m=_swing_reach(model),
         climb_um=_climb(model),
-        node_um=np.zeros(0 if terrain.is_flat else nodes, np.int32),
+        node_um=zeros(0 if terrain.is_flat else nodes, np.int32),
     )
 
 
@@ -256,7 +257,7 @@ def pair_free(space: Space, half: int, half_heading: int) -> bool:
     """Whether the body's box at the pair pose of a step is free; cached."""
     key = (half * 2 * space.headings + half_heading) * 2
     slot = (key * 0x9E3779B1 >> 7) & (_PAIR_SLOTS - 1)
-    stored = space.pair_key[slot]
+    stored = space.pair_key[slot]  # 0 where nothing is: the first half cell lies on the rim
     if stored >> 1 == key >> 1:
         return (stored & 1) == 1
     half_l, half_w = space.body

@@ -14,8 +14,7 @@ from planner.guide import MOVES, Potential
 from planner.space import Int64s, Space, to_grid
 
 NOWHERE_UM = 1 << 30
-# Cost 0 means not reached, so costs are stored one micrometre up.
-SHUT_CELL = -1
+SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
 EVERYWHERE = np.zeros(0, np.uint8)
 NO_CELLS = np.zeros(0, np.int64)
 _RIM = 2  # cells at the edge of the lattice where no body is
@@ -35,20 +34,28 @@ class Ahead(NamedTuple):
     slack_um: int
 
 
+class Moves(NamedTuple):
+    """Moves around a cell (16, 2), columns and rows, what each costs, and the reach of a body."""
+
+    around: Int64s
+    cost_um: Int64s
+    reach_m: float
+
+
 NOT_DRAWN = Ahead(0, 0, 0, 0, 0, 0)
 
 
-def moves_of(space: Space, guide: Potential) -> tuple[Int64s, Int64s, float]:
-    """The moves (16,) between cells, what each costs, and the reach of a body."""
-    return MOVES[:, 1] * space.cols + MOVES[:, 0], guide.move_um, guide.reach_m
+def moves_of(guide: Potential) -> Moves:
+    """How paths of a robot's body move, and what that costs."""
+    return Moves(MOVES, guide.move_um, guide.reach_m)
 
 
 @njit(cache=True)
-def ahead_um(ahead: Ahead, cols: int, cell: int) -> int:
+def ahead_um(ahead: Ahead, col: int, row: int) -> int:
     """Cost of the straight way from a cell, less the slack."""
     if ahead.level_um == 0:
         return 0
-    across, up = abs(cell % cols - ahead.col), abs(cell // cols - ahead.row)
+    across, up = abs(col - ahead.col), abs(row - ahead.row)
     far, near = max(across, up), min(across, up)
     if 2 * near <= far:
         cost = near * ahead.knight_um + (far - 2 * near) * ahead.level_um
@@ -63,64 +70,68 @@ def spread_costs(
     cost_um: NDArray[np.int32],
     seeds: Int64s,
     seed_um: Int64s,
-    moves: tuple[Int64s, Int64s, float],
+    moves: Moves,
     wanted: Int64s,
-    beyond: int,
+    beyond_um: int,
     mask: NDArray[np.uint8],
     ahead: Ahead,
 ) -> int:
     """Path costs + 1 from the seeds (n,), each with its own cost, in order of cost and way ahead.
 
     cost_um (rows * cols,): filled in, SHUT_CELL where no body can be; what is SHUT_CELL already
-    stays so. moves: of `moves_of`. wanted (k,): ends `beyond` buckets, each one least move wide,
-    after the first of these has its cost; with none it goes everywhere. mask (rows * cols,): cells
-    that costs may spread to, all for (0,). ahead: NOT_DRAWN for Dijkstra's search, else A*.
+    stays so. wanted (k,): the end comes so much after the first of these has its cost; with none
+    all is done. mask (rows * cols,): cells that costs may spread to, all for (0,). ahead: NOT_DRAWN
+    for Dijkstra's search, else A*. A ring of buckets; in one, cells are done in any order.
 
     Returns NOWHERE_UM once no cell is left; else what the cost and the way ahead of any cell that
     was not done add up to at least.
     """
-    d_cell, move_um, reach_m = moves
+    around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
     cols = space.cols
-    width = move_um.min()
-    head, cells, after, waiting, bucket = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
-    ring, used, last = len(head), waiting, -1
+    queue, shift, bucket = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
+    head, cells, costs, after, waiting = queue
+    ring, used, last = len(head) - 1, waiting, -1
     while waiting > 0:
         if last < 0:
             for i in range(len(wanted)):
                 if cost_um[wanted[i]] > 0:
-                    last = bucket + beyond - 1
+                    last = bucket + (beyond_um >> shift)
         elif bucket > last:
-            return bucket * width
-        entry = head[bucket % ring]
-        head[bucket % ring] = -1
+            return bucket << shift
+        entry = head[bucket & ring]
+        head[bucket & ring] = -1
         while entry >= 0:
-            cell = cells[entry]
+            cell, here = cells[entry], costs[entry]
             entry = after[entry]
             waiting -= 1
-            here = cost_um[cell] - 1
-            if (here + ahead_um(ahead, cols, cell)) // width != bucket:
-                continue
-            for move in range(len(d_cell)):
-                near = cell + d_cell[move]
-                there = here + move_um[move] + 1
-                old = cost_um[near]
-                if old == 0 and (
-                    (len(mask) > 0 and mask[near] == 0) or cell_shut(space, near, reach_m)
-                ):
-                    cost_um[near] = SHUT_CELL
-                    continue
-                if old == SHUT_CELL or (old != 0 and old <= there):
-                    continue
+            if cost_um[cell] != here:
+                continue  # it came to cost less
+            row = cell // cols
+            col = cell - row * cols
+            if used + len(move_um) > len(cells):
+                cells = np.concatenate((cells, np.empty_like(cells)))
+                costs = np.concatenate((costs, np.empty_like(costs)))
+                after = np.concatenate((after, np.empty_like(after)))
+            for move in range(len(move_um)):
+                to_col, to_row = col + around[move, 0], row + around[move, 1]
+                near = to_row * cols + to_col
+                there = here + move_um[move]
+                old = np.int64(cost_um[near])
+                if old == 0:
+                    shut = len(mask) > 0 and mask[near] == 0
+                    if shut or _is_shut(space, to_col, to_row, reach_m):
+                        cost_um[near] = SHUT_CELL
+                        continue
+                elif old <= there:
+                    continue  # as it is if it is shut
                 cost_um[near] = there
-                if used == len(cells):
-                    cells = np.concatenate((cells, np.empty_like(cells)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                slot = (there - 1 + ahead_um(ahead, cols, near)) // width % ring
-                cells[used], after[used], head[slot] = near, head[slot], used
-                if slot == bucket % ring:
+                slot = (there - 1 + ahead_um(ahead, to_col, to_row)) >> shift & ring
+                cells[used], costs[used] = near, there
+                if slot == bucket & ring:
                     # It is due in this very turn.
                     after[used], entry = entry, used
-                    head[slot] = -1
+                else:
+                    after[used], head[slot] = head[slot], used
                 used += 1
                 waiting += 1
         bucket += 1
@@ -133,37 +144,55 @@ def _queue_seeds(
     cost_um: NDArray[np.int32],
     seeds: Int64s,
     seed_um: Int64s,
-    moves: tuple[Int64s, Int64s, float],
+    moves: Moves,
     ahead: Ahead,
-) -> tuple[Int64s, Int64s, Int64s, int, int]:
-    """Ring of buckets, their entries' cells and next entries, how many, and the first bucket."""
-    _, move_um, reach_m = moves
-    width = move_um.min()
+) -> tuple[tuple[Int64s, Int64s, Int64s, Int64s, int], int, int]:
+    """The queue, how many bits of a key do not count for its bucket, and the first bucket.
+
+    Of the queue the ring of buckets, its entries' cells, costs + 1 and next entries, and how many.
+    """
+    shift = 0
+    while 2 << shift <= moves.cost_um.min():
+        shift += 1
     key_um = np.empty(len(seeds), np.int64)
     low, high = NOWHERE_UM, 0
     for i in range(len(seeds)):
-        key_um[i] = seed_um[i] + ahead_um(ahead, space.cols, seeds[i])
+        row = seeds[i] // space.cols
+        key_um[i] = seed_um[i] + ahead_um(ahead, seeds[i] - row * space.cols, row)
         low, high = min(low, key_um[i]), max(high, key_um[i])
     # The way ahead changes by no more than a move costs.
-    ring = int(2 * move_um.max() // width) + 3 + max(high - low, 0) // width
+    span = (2 * moves.cost_um.max() + max(high - low, 0) >> shift) + 2
+    ring = 1
+    while ring < span:
+        ring *= 2
     head = np.full(ring, -1, np.int64)
     room = max(1 << 13, len(seeds))
-    after, cells = np.empty(room, np.int64), np.empty(room, np.int64)
+    cells, costs, after = (
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+    )
     used = 0
     for i in range(len(seeds)):
-        cell, slot = seeds[i], key_um[i] // width % ring
-        if cost_um[cell] == SHUT_CELL or cell_shut(space, cell, reach_m):
+        cell, slot = seeds[i], key_um[i] >> shift & ring - 1
+        if cost_um[cell] == SHUT_CELL or cell_shut(space, cell, moves.reach_m):
             continue
         cost_um[cell] = seed_um[i] + 1
-        cells[used], after[used], head[slot] = cell, head[slot], used
+        cells[used], costs[used] = cell, seed_um[i] + 1
+        after[used], head[slot] = head[slot], used
         used += 1
-    return head, cells, after, used, low // width
+    return (head, cells, costs, after, used), shift, low >> shift
 
 
 @njit(cache=True)
 def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
     """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
-    row, col = cell // space.cols, cell % space.cols
+    row = cell // space.cols
+    return _is_shut(space, cell - row * space.cols, row, reach_m)
+
+
+@njit(cache=True)
+def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
     if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
         return True
     x, y = to_grid(

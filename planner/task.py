@@ -10,6 +10,8 @@ from planner import search
 from planner.body_path import spread_from
 from planner.drawn import draw_path
 from planner.lattice import final_cost_um
+from planner.pages import zeros
+from planner.places import EVERY_STATE
 from planner.request import Request
 from planner.search import Heuristic, Tree
 from planner.space import Int64s, Space, turned_round
@@ -61,15 +63,16 @@ def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
     return Tree(
         steps=steps,
         is_backward=is_backward,
-        cost_um=np.zeros(nodes, np.int32),
-        before=np.zeros(nodes, np.int32),
-        round=np.zeros(nodes, np.uint8),
+        cost_um=zeros(nodes, np.int32),
+        before=zeros(nodes, np.int32),
+        round=zeros(nodes, np.uint8),
         entry_node=np.empty(_ENTRIES, np.int32),
         entry_next=np.empty(_ENTRIES, np.int32),
         head=np.full(search.BUCKETS + 1, -1, np.int32),
         goals=np.zeros(1, np.int64),  # a node of the rim, where no step leads
         goal_um=np.zeros(1, np.int64),
         scalars=scalars,
+        places=EVERY_STATE,
     )
 
 

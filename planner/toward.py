@@ -14,6 +14,7 @@ from planner.collision import Terrain
 from planner.exits import SECTORS
 from planner.guide import Potential
 from planner.model import StepModel
+from planner.pages import zeros
 from planner.region import POINT, Region, ends_in
 from planner.search import Heuristic
 from planner.space import Int64s, Space
@@ -58,7 +59,7 @@ class Toward:
             self.tables.endgame.cost_um,
             self.tables.endgame.cap_um,
             exits.turn_um,
-            np.zeros((space.cols * space.rows, SECTORS), np.int32),
+            zeros(space.cols * space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
             exits.rim,
             exits.radius_cells,
         )

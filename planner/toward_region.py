@@ -10,6 +10,7 @@ from planner.body_path import spread_from
 from planner.exits import SECTORS
 from planner.lattice import final_cost_um
 from planner.model import StepModel
+from planner.pages import zeros
 from planner.region import Region
 from planner.search import Heuristic
 from planner.space import Int64s, Space
@@ -52,7 +53,7 @@ def heuristic_toward_region(
         np.maximum(endgame.cost_um - np.int32(slack_um), 0),
         max(endgame.cap_um - slack_um, 0),
         base_um + exits.turn_um,
-        np.zeros((space.cols * space.rows, SECTORS), np.int32),
+        zeros(space.cols * space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
         exits.rim,
         # No end may lie within the circle wherever its bound is used.
         exits.radius_cells + math.ceil(region.reach_m / model.cell_m) + 2,

@@ -1,0 +1,25 @@
+"""Arrays over the whole lattice, of which a search touches a small part."""
+
+from __future__ import annotations
+
+import mmap
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_SMALL_BYTES = 1 << 20
+
+
+def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
+    """Zeros (count,) that take up memory only on the small pages where they are written.
+
+    numpy asks for huge pages: each takes 2 MB and the time to clear them for a single number. Where
+    the system has no other pages, or cannot be asked, these are numpy's own.
+    """
+    size = count * np.dtype(dtype).itemsize
+    if size < _SMALL_BYTES or not hasattr(mmap, "MADV_NOHUGEPAGE"):
+        return np.zeros(count, dtype)
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype)

@@ -1,0 +1,42 @@
+"""What a search for a first plan tells apart, and what it may forget."""
+
+import numpy as np
+
+from planner.collision import terrain_of
+from planner.places import places_of, takes_place
+from planner.space import build_space
+from planner.tables import tables_of
+from tests.planner_floor import FLOOR
+from tests.planner_oracle import small_model
+
+MODEL = small_model()
+TERRAIN = terrain_of(FLOOR, False)
+SPACE = build_space(FLOOR, TERRAIN, MODEL, tables_of(MODEL).steps, (2.0, 1.5, 0.3))
+
+
+def node_at(col, row, heading, side):
+    cell = (row + SPACE.origin_row) * SPACE.cols + col + SPACE.origin_col
+    return (cell * SPACE.headings + heading) * 2 + side
+
+
+def test_of_all_states_each_place_takes_one_and_no_place_is_off_the_map():
+    places = places_of(SPACE)
+    nodes = np.arange(len(SPACE.node_state))
+    taken = sum(takes_place(SPACE, places, node, 500_000) for node in nodes)
+    assert taken == len(places.least_um)
+    assert np.all(places.least_um == 500_000)
+
+
+def test_a_place_is_taken_again_only_by_states_that_have_clearly_less_before_them():
+    places, node = places_of(SPACE), node_at(3, -2, 5, 1)
+    estimates_um = 900_000, 850_000, 790_000, 790_000, 900_000, 600_000
+    taken = [takes_place(SPACE, places, node, value) for value in estimates_um]
+    assert taken == [True, False, True, False, False, True]
+
+
+def test_the_other_foot_stands_in_another_place_and_so_does_one_turned_by_a_quarter():
+    places = places_of(SPACE)
+    quarter = SPACE.headings // 4
+    for at in ((0, 0, 0, 0), (0, 0, 0, 1), (0, 0, quarter, 0), (places.cells, 0, 0, 0)):
+        assert takes_place(SPACE, places, node_at(*at), 500_000)
+        assert not takes_place(SPACE, places, node_at(*at), 500_000)
