@@ -48,10 +48,10 @@ def draw_path(
     ahead = ahead_of(space, guide, wanted)
     cost_um = np.zeros(space.cols * space.rows, np.int32)
     # The way to the last of what is wanted may be longer than to the first by twice the slack.
-    beyond = (2 * ahead.slack_um + further_um) // int(guide.move_um.min()) + 2
-    moves = moves_of(space, guide)
+    beyond_um = 2 * ahead.slack_um + further_um + int(guide.move_um.max())
+    moves = moves_of(guide)
     settled_um = spread_costs(
-        space, cost_um, cells, costs_um, moves, wanted, beyond, EVERYWHERE, ahead
+        space, cost_um, cells, costs_um, moves, wanted, beyond_um, EVERYWHERE, ahead
     )
     if settled_um < NOWHERE_UM:
         _bound_unsettled(cost_um, space.cols, settled_um, ahead)
@@ -92,7 +92,8 @@ def _most_um(ahead: Ahead, cols: int, cells: Int64s) -> int:
     """Cost of the straight way from the farthest of some cells (n,)."""
     most = 0
     for cell in cells:
-        most = max(most, ahead_um(ahead, cols, cell))
+        row = cell // cols
+        most = max(most, ahead_um(ahead, cell - row * cols, row))
     return most
 
 
@@ -102,7 +103,8 @@ def _bound_unsettled(cost_um: NDArray[np.int32], cols: int, settled_um: int, ahe
     for cell in range(len(cost_um)):
         if cost_um[cell] == SHUT_CELL:
             continue
-        least_um = settled_um - ahead_um(ahead, cols, cell)
+        row = cell // cols
+        least_um = settled_um - ahead_um(ahead, cell - row * cols, row)
         if cost_um[cell] == 0 or cost_um[cell] - 1 >= least_um:
             cost_um[cell] = max(least_um, 0) + 1
 
@@ -121,4 +123,4 @@ def _lower_inside(
             col = space.origin_col + across
             if 0 <= col < space.cols and inside[up + reach, across + reach]:
                 cell = row * space.cols + col
-                cost_um[cell] = ahead_um(ahead, space.cols, cell) + 1
+                cost_um[cell] = ahead_um(ahead, col, row) + 1

@@ -49,8 +49,8 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
         assert drawn.min() > 0
         assert np.all(drawn <= exact)
         lower += np.count_nonzero(drawn < exact)
-        near = wanted[np.argmin(exact[np.searchsorted(free, wanted)])]
-        at = np.searchsorted(free, near)
+        nearest = wanted[np.argmin(exact[np.searchsorted(free, wanted)])]
+        at = np.searchsorted(free, nearest)
         assert drawn[at] == exact[at]
         for (col, row), move_um in zip(MOVES, guide.move_um, strict=True):
             there = drawn_um[free + row * space.cols + col]
@@ -98,8 +98,8 @@ def test_near_the_goal_the_table_says_what_the_path_does_not():
     grid, model = walled(), small_model()
     request = request_of(grid, model, (1.2, 1.2, 0.0), (1.5, 1.3, 0.0))
     nodes, _ = first_nodes(request)
-    values_um = [
+    drawn_um, exact_um = (
         search.estimates(request.space, h, nodes)
         for h in (heuristic_on_the_way(request.toward, nodes), request.heuristic)
-    ]
-    np.testing.assert_array_equal(*values_um)
+    )
+    np.testing.assert_array_equal(drawn_um, exact_um)
