@@ -48,7 +48,7 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
         drawn = drawn_um[free]
         assert drawn.min() > 0
         assert np.all(drawn <= exact)
-        lower += np.count_nonzero(drawn < exact)
+        lower += int(np.count_nonzero(drawn < exact))
         nearest = wanted[np.argmin(exact[np.searchsorted(free, wanted)])]
         at = np.searchsorted(free, nearest)
         assert drawn[at] == exact[at]
