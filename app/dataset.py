@@ -209,7 +209,7 @@ def lhw_text(corpus: Corpus, stance_width_m: float) -> str:
 def write_pictures(folder: Path, corpus: Corpus, wanted: RandomPlans) -> None:
     """The contact sheet of some plans and the histograms of all steps."""
     # Here and not above: wrong input need not wait for matplotlib.
-    from app.dataset_pictures import write_contact_sheet, write_histograms
+    from app.pictures.dataset_pictures import write_contact_sheet, write_histograms
 
     write_contact_sheet(
         folder / SHEET, corpus, wanted.grid, wanted.model, one_scale=wanted.start is not None

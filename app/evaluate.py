@@ -8,11 +8,11 @@ from dataclasses import asdict
 from typing import Any
 
 from app.errors import ExitCode, InputError, as_bad_input
-from app.evaluate_limits import measured_of
 from app.evaluate_options import EvaluateOptions
-from app.evaluate_parts import Bench, Kept, Part, Results, finite
-from app.evaluate_sections import SECTIONS
-from app.evaluation_text import report
+from app.evaluation.limits import measured_of
+from app.evaluation.parts import Bench, Kept, Part, Results, finite
+from app.evaluation.sections import SECTIONS
+from app.evaluation.text import report
 from app.inputs import find_robot
 from app.output import make_folder, to_json, write_text
 from app.progress import ProgressBar, say
@@ -50,7 +50,7 @@ def run(options: EvaluateOptions) -> int:
     stored = _store(options, bench, measured_of(bench, results))
     document = document_of(bench, parts, results, stored)
     # Here and not above: it takes a while to load, and a run that is cut off needs none of it.
-    from app.report_figures import write_figures
+    from app.evaluation.figures import write_figures
 
     write_figures(document, options.out)
     _write(options, document)

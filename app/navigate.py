@@ -22,9 +22,9 @@ from app.navigator import (
 )
 from app.options import Pose, Reach
 from app.output import PICTURE_ENDINGS, make_folder, require_writable, write_text
-from app.path_picture import write_path_picture
+from app.pictures.path_picture import write_path_picture
+from app.pictures.rendering import FOLLOW, Recording
 from app.progress import ProgressBar, say
-from app.rendering import FOLLOW, Recording
 from app.report import FootError, NavigationReport, Outcome, PolicyFile, installed_versions
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
@@ -192,9 +192,9 @@ def _draw(
         write_replay(options.html, grid, robot, story)
     if not options.draws_robot:
         return
-    from app.footmarks import footmarks_of
-    from app.strip import write_strip
-    from app.video import write_film
+    from app.pictures.footmarks import footmarks_of
+    from app.pictures.strip import write_strip
+    from app.pictures.video import write_film
 
     scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
     marks = footmarks_of(robot.step_model.foot, navigator.followed, navigator.placed)

@@ -105,16 +105,16 @@ def run(options: PlanOptions) -> int:
     if options.out is not None:
         write_text(options.out, text)
     if options.image is not None:
-        from app.path_picture import write_path_picture
+        from app.pictures.path_picture import write_path_picture
 
         write_path_picture(options.image, grid, robot.step_model, plan)
     if options.search_image is not None and planner.record is not None:
-        from app.search_picture import write_search_picture
+        from app.pictures.search_picture import write_search_picture
 
         cell_m = robot.step_model.cell_m
         write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
     if options.refine_image is not None and plan.found:
-        from app.refinement_picture import write_refinement_picture
+        from app.pictures.refinement_picture import write_refinement_picture
 
         unrefined = dataclasses.replace(planner.options, refine=False)
         searched = Planner(grid, robot.step_model, unrefined)

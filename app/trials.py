@@ -23,7 +23,7 @@ from app.report import Outcome, installed_versions
 from app.trials_options import TrialsOptions
 from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
-from planner.collision import terrain_of
+from planner.checks.collision import terrain_of
 from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
 from planner.plan import feet_at

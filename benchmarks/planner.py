@@ -2,7 +2,8 @@
 
 FOLDER holds maps with their YAML and queries.json: per map name a dict with `map` (image) and
 `queries`, each with start and goal (x_m, y_m, yaw_rad midway between the feet) and
-best_known_cost_m (or null). Every query is planned twice, to the first plan and to epsilon 1.
+best_known_cost_m (or null). Every query is planned twice, to the first plan and to epsilon 1, and
+once more with walls all around the goal, until it is told that no path leads there.
 Times are CPU time of this one thread; compiling and the tables of the robot come before.
 Every plan is checked by exact polygons.
 """
@@ -14,7 +15,7 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,12 +23,12 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from maps.grid import OccupancyGrid
+from maps.grid import Cell, OccupancyGrid
 from maps.reader import load_map
 from planner.api import Planner
 from planner.model import BodyShape, FootShape, StepLimits, StepModel
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan
+from planner.plan import FootstepPlan, PlanStatus
 from planner.verify import violations
 
 ROBOT = StepModel(
@@ -54,6 +55,8 @@ ROBOT = StepModel(
     cell_m=0.05,
     headings=64,
 )
+
+_WALL_M = 0.8, 0.95  # from a goal to the near and the far side of the walls that shut it in
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +87,7 @@ class Rows:
     best_ratio: np.ndarray
     proven: np.ndarray
     expansions: np.ndarray
+    refused_s: np.ndarray
     wrong: int
 
 
@@ -94,6 +98,27 @@ def queries_by_map(
     document = json.loads((folder / "queries.json").read_text(encoding="utf-8"))
     for name in maps or document:
         yield name, load_map(folder / document[name]["map"]), document[name]["queries"][:count]
+
+
+def shut_in(grid: OccupancyGrid, goal: Sequence[float]) -> OccupancyGrid:
+    """The map with four walls around a goal in the world."""
+    cells, size = np.array(grid.cells), grid.resolution_m
+    x, y = grid.world_to_grid(np.array(goal[:2]))
+    near, far = (math.ceil(away_m / size) for away_m in _WALL_M)
+    up, across = np.indices(cells.shape)
+    away = np.maximum(abs(up - int(y / size)), abs(across - int(x / size)))
+    cells[(away >= near) & (away <= far)] = Cell.OCCUPIED
+    return grid.with_cells(cells)
+
+
+def refused(
+    grid: OccupancyGrid, model: StepModel, query: dict[str, Any], options: PlannerOptions
+) -> float:
+    """CPU time in seconds until it is known that walls shut the goal in; nan if they do not."""
+    if max(abs(a - b) for a, b in zip(query["start"][:2], query["goal"][:2], strict=True)) < 2.0:
+        return math.nan
+    plan, spent_s = timed(Planner(shut_in(grid, query["goal"]), model, options), query)
+    return spent_s if plan.status is PlanStatus.NO_PATH else math.nan
 
 
 def timed(planner: Planner, query: dict[str, Any]) -> tuple[FootstepPlan, float]:
@@ -136,6 +161,7 @@ def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Argum
                 best_m / known_m,
                 best.found and best.epsilon == 1.0,
                 best.expansions,
+                refused(grid, model, query, full),
             )
         )
     table = np.array(columns, dtype=float).T
@@ -146,6 +172,7 @@ def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Argum
         best_ratio=table[3],
         proven=table[4] > 0,
         expansions=table[5],
+        refused_s=table[6],
         wrong=wrong,
     )
 
@@ -154,12 +181,13 @@ def row_of(name: str, rows: Rows) -> str:
     """One line of the table."""
 
     def pair(values: np.ndarray, unit: float) -> str:
-        return f"{np.median(values) * unit:.1f} / {np.percentile(values, 95) * unit:.1f}"
+        return f"{np.nanmedian(values) * unit:.1f} / {np.nanpercentile(values, 95) * unit:.1f}"
 
     return (
         f"| {name} | {pair(rows.first_s, 1e3)} | {np.nanmedian(rows.first_ratio):.2f} "
         f"| {pair(rows.best_s, 1e3)} ({int(rows.proven.sum())} of {len(rows.proven)}) "
-        f"| {np.nanmedian(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} | {rows.wrong} |"
+        f"| {np.nanmedian(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} "
+        f"| {pair(rows.refused_s, 1e3)} ({np.isfinite(rows.refused_s).sum()}) | {rows.wrong} |"
     )
 
 
@@ -168,9 +196,10 @@ def main() -> None:
     arguments = tyro.cli(Arguments)
     print(
         "| map | first plan, ms, median / p95 | its cost over optimum | to epsilon 1, ms, "
-        "median / p95 (proven) | optimum over best known | expansions | wrong plans |"
+        "median / p95 (proven) | optimum over best known | expansions | goal shut in, ms, median "
+        "/ p95 (of) | wrong plans |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|")
     for name, grid, queries in queries_by_map(arguments.folder, arguments.maps, arguments.count):
         print(row_of(name, run_map(grid, queries, arguments)), flush=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

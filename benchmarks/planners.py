@@ -22,7 +22,7 @@ import tyro
 from benchmarks.planner import ROBOT
 from maps.grid import Cell, OccupancyGrid
 from planner.api import Planner
-from planner.collision import terrain_of
+from planner.checks.collision import terrain_of
 from planner.endpoints import what_blocks
 from planner.options import PLANNERS, PlannerOptions
 from planner.plan import Pose, feet_at

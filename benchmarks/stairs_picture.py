@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from app.output import write_picture
-from app.strip import tile
+from app.pictures.strip import tile
 from controller.curriculum import Stage
 from controller.gym_painter import HEIGHT, WIDTH, Painter
 from controller.gym_task import make_task

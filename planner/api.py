@@ -11,18 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
 from planner.backends import backend
-from planner.collision import terrain_of
+from planner.checks.collision import terrain_of
+from planner.checks.ground import heights_below, resting_heights
 from planner.endpoints import suggestion, what_blocks, what_obstructs
-from planner.ground import heights_below, resting_heights
+from planner.estimates.tables import tables_of
+from planner.lattice.region import Region
+from planner.lattice.space import build_space
 from planner.model import Side, StepModel
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
-from planner.refine import refine
-from planner.region import Region
-from planner.request import Request, Result, SearchRecord
-from planner.space import build_space
-from planner.tables import tables_of
-from planner.toward import Toward
+from planner.refinement.refine import refine
+from planner.searches.request import Request, Result, SearchRecord
+from planner.searches.toward import Toward
 from planner.verify import violations
 
 FloatArray = NDArray[np.float64]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from planner.adstar import plan_adstar
-from planner.ara import plan_ara, plan_astar, plan_backward
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
-from planner.request import Request, Result
-from planner.rstar import plan_rstar
+from planner.searches.adstar import plan_adstar
+from planner.searches.ara import plan_ara, plan_astar, plan_backward
+from planner.searches.request import Request, Result
+from planner.searches.rstar import plan_rstar
 
 # Takes the request, the options and the time.perf_counter() of the request's arrival.
 Backend = Callable[[Request, PlannerOptions, float], Result]
@@ -17,7 +17,7 @@ Backend = Callable[[Request, PlannerOptions, float], Result]
 def backend(name: str) -> Backend:
     """The search of that name, one of `PLANNERS`. What a search loads is loaded here."""
     if name in SAMPLING_PLANNERS:
-        from planner.sampling import plan_by_sampling
+        from planner.body_paths.sampling import plan_by_sampling
 
         return plan_by_sampling
     return {

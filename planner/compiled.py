@@ -21,7 +21,7 @@ def use_cache_of_this_code() -> None:
     """
     folder = Path(__file__).parent
     digest = hashlib.sha256()
-    for source in sorted(folder.glob("*.py")):
+    for source in sorted(folder.rglob("*.py")):
         digest.update(source.read_bytes())
     cache = folder / "__pycache__" / f"{_PREFIX}{digest.hexdigest()[:12]}"
     if os.access(folder, os.W_OK) and "NUMBA_CACHE_DIR" not in os.environ:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.collision import Terrain, box_free
-from planner.ground import heights_below
+from planner.checks.collision import Terrain, box_free
+from planner.checks.ground import heights_below
 from planner.model import BodyShape, FootShape, Side, StepModel
 from planner.plan import feet_at, pair_pose
 

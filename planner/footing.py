@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.collision import Terrain, terrain_of
-from planner.ground import heights_below, resting_heights
+from planner.checks.collision import Terrain, terrain_of
+from planner.checks.ground import heights_below, resting_heights
 from planner.model import StepModel
 from planner.plan import feet_at
 

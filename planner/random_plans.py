@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from maps.grid import OccupancyGrid
 from maps.obstacles import with_boxes
 from planner.api import Planner
-from planner.collision import Terrain, terrain_of
+from planner.checks.collision import Terrain, terrain_of
 from planner.endpoints import what_blocks
 from planner.model import Interval, StepModel
 from planner.options import PlannerOptions

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from planner.lattice import build_step_table
+from planner.lattice.layout import build_step_table
 from planner.model import BodyShape, FootShape, StepLimits, StepModel
 from tests.height_oracle import HeightOracle
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
 from planner.api import plan_footsteps
-from planner.lattice import feet_apart
+from planner.lattice.layout import feet_apart
 from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, relative_step

@@ -23,6 +23,16 @@ MAY_IMPORT = {
     "app": PACKAGES,
 }
 
+# Room of the planner -> what it may import of the planner, besides itself.
+PLANNER_ROOMS = {
+    "checks": ("model",),
+    "lattice": ("model", "plan", "checks"),
+    "estimates": ("model", "checks", "lattice"),
+    "searches": ("model", "plan", "options", "checks", "lattice", "estimates"),
+    "refinement": ("model", "plan", "checks", "lattice", "searches"),
+    "body_paths": ("model", "plan", "options", "checks", "lattice", "searches"),
+}
+
 # Heavy library -> packages that may import it at all.
 MAY_LOAD = {
     "mujoco": ("sim", "controller", "app"),
@@ -71,6 +81,22 @@ def test_packages_import_only_what_the_table_allows(package):
         for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
             if covered(name, PACKAGES):
                 assert covered(name, MAY_IMPORT[package]), f"{path} imports {name}"
+
+
+def test_every_room_of_the_planner_is_in_the_table():
+    folders = {path.parent.name for path in (ROOT / "planner").glob("*/*.py")}
+    assert folders == set(PLANNER_ROOMS)
+
+
+@pytest.mark.parametrize("room", PLANNER_ROOMS)
+def test_rooms_of_the_planner_import_only_what_lies_below_them(room):
+    allowed = tuple(f"planner.{name}" for name in (room, *PLANNER_ROOMS[room]))
+    files = files_of(f"planner/{room}")
+    assert len(files) > 1
+    for path in files:
+        for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
+            if covered(name, ("planner",)):
+                assert covered(name, allowed), f"{path} imports {name}"
 
 
 @pytest.mark.parametrize("package", PACKAGES)

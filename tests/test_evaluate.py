@@ -9,15 +9,17 @@ import cv2
 import numpy as np
 import pytest
 
-from app import evaluate, evaluate_limits, evaluate_modes
+from app import evaluate
 from app.cli import main
-from app.evaluate_limits import limits_from, measured_of, sole_errors_m
-from app.evaluate_modes import mode_row
 from app.evaluate_options import SECTION_NAMES, EvaluateOptions
-from app.evaluate_parts import Bench, finite
-from app.evaluate_sections import SECTIONS
-from app.evaluation_text import report, table
-from app.report_figures import FIGURES, plain_joint, write_figures
+from app.evaluation import limits as evaluate_limits
+from app.evaluation import modes as evaluate_modes
+from app.evaluation.figures import FIGURES, plain_joint, write_figures
+from app.evaluation.limits import limits_from, measured_of, sole_errors_m
+from app.evaluation.modes import mode_row
+from app.evaluation.parts import Bench, finite
+from app.evaluation.sections import SECTIONS
+from app.evaluation.text import report, table
 from controller.assess import ModeResult
 from controller.follower import load_measured, measured_path
 from controller.policy import POLICY_FOLDER, load_policy

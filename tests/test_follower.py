@@ -22,7 +22,7 @@ from controller.limit_search import Trial, corners_of, cut_back, search_limits
 from controller.policy import Policy, PolicyError, load_policy, save_policy
 from controller.step_region import StepWalks, kinds_over
 from controller.sway import Reach, half_extent
-from planner.lattice import allowed
+from planner.lattice.layout import allowed
 from planner.model import StepLimits
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene

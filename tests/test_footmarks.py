@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.footmarks import Footmarks, footmarks_of
 from app.navigator import Placed
+from app.pictures.footmarks import Footmarks, footmarks_of
 from planner.model import FootShape, Side
 from planner.plan import FootstepPlan, feet_at
 

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from app.cutaway import fixed_boxes
 from app.navigator import Navigator, Placed, scene_of
 from app.page.rover import Rover
+from app.pictures.cutaway import fixed_boxes
 from app.report import Outcome
 from app.trials import Course, draw_trials
 from controller.policy import load_policy

@@ -13,7 +13,7 @@ import zstandard
 from app.navigator import Placed
 from app.page.bodies import look_of
 from app.page.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
-from app.rendering import Recording
+from app.pictures.rendering import Recording
 from maps.grid import OccupancyGrid
 from planner.model import Side
 from planner.plan import FootstepPlan, feet_at

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from app.errors import InputError
-from app.legend import Swatch, with_legend
 from app.output import write_picture
-from app.path_picture import BODY, PLANNED, foot_boxes, walk_picture, write_path_picture
+from app.pictures.legend import Swatch, with_legend
+from app.pictures.path_picture import BODY, PLANNED, foot_boxes, walk_picture, write_path_picture
 from maps.grid import Cell, OccupancyGrid
 from planner.model import FootShape
 from planner.picture import LEFT, RIGHT, Canvas

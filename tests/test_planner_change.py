@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner.change import change_between
-from planner.collision import terrain_of
-from planner.graft import step_um
-from planner.region import may_end_at
-from planner.space import COST_UM, D_NODE, build_space, node_free
-from planner.tables import tables_of
-from planner.task import new_tree
+from planner.checks.collision import terrain_of
+from planner.estimates.tables import tables_of
+from planner.lattice.change import change_between
+from planner.lattice.region import may_end_at
+from planner.lattice.space import COST_UM, D_NODE, build_space, node_free
+from planner.searches.graft import step_um
+from planner.searches.task import new_tree
 from tests.planner_floor import walled
 from tests.planner_oracle import small_model
 

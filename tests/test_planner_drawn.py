@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner import search
 from planner.api import Planner
-from planner.body_path import spread_from
-from planner.drawn import draw_path, heuristic_on_the_way
-from planner.guide import MOVES
-from planner.request import first_nodes
+from planner.estimates.body_path import spread_from
+from planner.estimates.guide import MOVES
+from planner.searches import search
+from planner.searches.drawn import draw_path, heuristic_on_the_way
+from planner.searches.request import first_nodes
 from tests.planner_floor import CASES, fine_model, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model
 from tests.test_planner_heuristic import request_of

@@ -4,10 +4,10 @@ import numpy as np
 
 from maps.grid import OccupancyGrid
 from planner.api import Planner
-from planner.exits import SECTORS
+from planner.estimates.exits import SECTORS
+from planner.estimates.tables import tables_of
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
-from planner.tables import tables_of
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_floor import blocked_at

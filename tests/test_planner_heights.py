@@ -10,7 +10,7 @@ import pytest
 
 from maps.grid import OccupancyGrid
 from planner.api import Planner, plan_footsteps
-from planner.flood import Verdict, new_flood, spread
+from planner.lattice.flood import Verdict, new_flood, spread
 from planner.model import Side
 from planner.plan import PlanStatus, feet_at
 from planner.verify import violations

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner import search
 from planner.api import Planner, _to_lattice
 from planner.options import PlannerOptions
 from planner.plan import feet_at
-from planner.quick import quick_path
-from planner.request import Request, first_nodes
-from planner.task import heuristic_toward_start
+from planner.searches import search
+from planner.searches.quick import quick_path
+from planner.searches.request import Request, first_nodes
+from planner.searches.task import heuristic_toward_start
 from tests.planner_floor import CASES
 from tests.planner_oracle import Oracle, oracle_node, small_model
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
-from planner import ara
 from planner.api import Planner, plan_footsteps
-from planner.flood import Verdict, new_flood, spread
+from planner.lattice.flood import Verdict, new_flood, spread
 from planner.model import BodyShape
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
+from planner.searches import ara
 from planner.verify import violations
 from tests.planner_oracle import Oracle, small_model
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from planner.lattice import build_step_table
+from planner.lattice.layout import build_step_table
 from planner.model import BodyShape, FootShape, Side, StepLimits
 from tests.planner_oracle import small_model
 

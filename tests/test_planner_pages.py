@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.pages import zeros
+from planner.lattice.pages import zeros
 
 
 @pytest.mark.parametrize("count", [0, 5, 1 << 22])

@@ -11,13 +11,19 @@ from shapely import affinity
 
 from maps.grid import OccupancyGrid
 from planner.api import Planner
-from planner.barrier import add, new_work, note_costs, note_rules, take_block
-from planner.chain import build_rules, chain_cost_um, foot_height_um, gap_axis, step_between
-from planner.collision import terrain_of
-from planner.keep_off import WAYS, room_off_blocked
-from planner.lattice import feet_apart
+from planner.checks.collision import terrain_of
+from planner.lattice.layout import feet_apart
 from planner.model import Side
-from planner.relax import _solve
+from planner.refinement.barrier import add, new_work, note_costs, note_rules, take_block
+from planner.refinement.chain import (
+    build_rules,
+    chain_cost_um,
+    foot_height_um,
+    gap_axis,
+    step_between,
+)
+from planner.refinement.keep_off import WAYS, room_off_blocked
+from planner.refinement.relax import _solve
 from tests.planner_oracle import small_model
 from tests.planner_refined import (
     FLOOR,

@@ -10,11 +10,11 @@ import pytest
 
 from maps.grid import Cell
 from planner.api import Planner, plan_footsteps
-from planner.graft import step_um
 from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
-from planner.search import FROM_START
+from planner.searches.graft import step_um
+from planner.searches.search import FROM_START
 from planner.verify import violations
 from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, small_model

@@ -13,7 +13,7 @@ import pytest
 from maps.grid import Cell
 from maps.reader import load_map
 from planner.api import Planner, plan_footsteps
-from planner.lattice import step_cost_um
+from planner.lattice.layout import step_cost_um
 from planner.model import Side
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import PlanStatus, relative_step

@@ -5,9 +5,8 @@ import heapq
 import numpy as np
 import pytest
 
-from planner.collision import terrain_of
-from planner.space import build_space
-from planner.spread import (
+from planner.checks.collision import terrain_of
+from planner.estimates.spread import (
     EVERYWHERE,
     NO_CELLS,
     NOT_DRAWN,
@@ -19,7 +18,8 @@ from planner.spread import (
     moves_of,
     spread_costs,
 )
-from planner.tables import tables_of
+from planner.estimates.tables import tables_of
+from planner.lattice.space import build_space
 from tests.planner_floor import blocked_at
 from tests.planner_oracle import small_model
 

@@ -10,14 +10,22 @@ import cv2
 import numpy as np
 import pytest
 
-from app.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
+from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from sim.gl import NO_GL
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def draw(path: Path, *words: str) -> np.ndarray:
-    command = [sys.executable, "-m", "app.portrait", "--robot", "hrp5p", "--image", str(path)]
+    command = [
+        sys.executable,
+        "-m",
+        "app.pictures.portrait",
+        "--robot",
+        "hrp5p",
+        "--image",
+        str(path),
+    ]
     done = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.stderr.strip() == f"error: {NO_GL}":
         pytest.skip(NO_GL)

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
-from app.cutaway import Boxes, eye_position, hides, points_to_see
-from app.rendering import Recording, View, camera_path
-from app.strip import tile
+from app.pictures.cutaway import Boxes, eye_position, hides, points_to_see
+from app.pictures.rendering import Recording, View, camera_path
+from app.pictures.strip import tile
 from sim.gl import NO_GL, NoGlError, prepare_gl
 
 
@@ -161,15 +161,15 @@ def test_mujoco_can_be_imported_whatever_the_variable_says():
 DRAW = """
 import sys
 from pathlib import Path
-from app.rendering import Recording
+from app.pictures.rendering import Recording
 from sim.gl import NoGlError, prepare_gl
 try:
     prepare_gl()
 except NoGlError as error:
     sys.exit(str(error))
 import mujoco, numpy as np
-from app.strip import write_strip
-from app.video import write_film
+from app.pictures.strip import write_strip
+from app.pictures.video import write_film
 model = mujoco.MjModel.from_xml_string('''
 <mujoco>
   <worldbody>

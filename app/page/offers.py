@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maps.grid import OccupancyGrid
-from planner.collision import Terrain, terrain_of
+from planner.checks.collision import Terrain, terrain_of
 from planner.endpoints import nearest_free_pose, what_blocks
 from planner.model import StepModel
 from planner.plan import Pose, feet_at

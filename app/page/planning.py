@@ -15,7 +15,7 @@ import numpy as np
 from app.page.offers import free_pose, reachable_pose
 from maps.grid import OccupancyGrid
 from planner.api import Planner
-from planner.collision import terrain_of
+from planner.checks.collision import terrain_of
 from planner.model import Side, StepModel
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, pair_pose

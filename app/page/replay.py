@@ -17,8 +17,8 @@ from app.page.figure import Figure
 from app.page.floor import add_floor
 from app.page.prints import Marker, Prints
 from app.page.server import open_server
+from app.pictures.rendering import Recording
 from app.progress import ProgressBar
-from app.rendering import Recording
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
 from sim.robot import Robot

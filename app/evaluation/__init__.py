@@ -1,0 +1,1 @@
+"""How well a policy walks: what is measured, told and drawn."""

@@ -1,0 +1,236 @@
+"""The figures of an evaluation, drawn from its document alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from app.evaluation.limits_figure import draw_limits
+from app.evaluation.paper import JOINT_NOISE_WITHSTOOD_DEG, TITLE, TREAD_NOISE_WITHSTOOD_M
+from app.output import replacing
+
+LEFT, RIGHT, GREY = "#1f77b4", "#d62728", "#8a8f98"
+UP, DOWN = "#0b7a75", "#c8553d"
+Document = Mapping[str, Any]
+
+
+def write_figures(document: Document, folder: Path) -> None:
+    """Draw every figure whose section was measured."""
+    for name, (section, draw) in FIGURES.items():
+        if document.get(section):
+            with replacing(folder / name) as temporary:
+                draw(document).savefig(temporary, dpi=120)
+
+
+def _plain(axes: Axes, **settings: Any) -> None:
+    """Labels and limits, and no frame where there is nothing to frame."""
+    axes.set(**settings)
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def draw_errors(document: Document) -> Figure:
+    """Cumulative distribution of the foot error of every mode that takes steps."""
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    axes = figure.subplots()
+    largest_cm = 1.0
+    for row in document["modes"]:
+        if row["error_m_quantiles"]:
+            error_cm = 100 * np.array(row["error_m_quantiles"])
+            largest_cm = max(largest_cm, error_cm[-2])
+            style = "-" if row["mode"] != "mixed" else "k--"
+            axes.plot(error_cm, np.linspace(0, 1, len(error_cm)), style, label=row["mode"])
+    _plain(
+        axes,
+        xlabel="distance of a resting foot from its step, cm",
+        ylabel="share of steps",
+        xlim=(0, 1.05 * largest_cm),
+        ylim=(0, 1),
+    )
+    axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def draw_stairs(document: Document) -> Figure:
+    """Success and episode length over the two kinds of noise, up and down."""
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    panels = figure.subplots(2, 2, sharex="col", sharey="row")
+    kinds = (
+        ("tread", 100.0, "noise on tread height, ± cm", 100 * TREAD_NOISE_WITHSTOOD_M),
+        ("joint", 1.0, "noise on joint positions, ± degrees", JOINT_NOISE_WITHSTOOD_DEG),
+    )
+    rise_m = min((row["rise_m"] for row in document["stairs"]), default=0.1)
+    for column, (kind, scale, label, withstood) in enumerate(kinds):
+        for way, colour in (("up", UP), ("down", DOWN)):
+            rows = [
+                row
+                for row in document["stairs"]
+                if row["way"] == way
+                and row["rise_m"] == rise_m
+                and row["noise_kind"] in ("none", kind)
+            ]
+            noise = [scale * row["noise"] for row in rows]
+            success = [100 * row["success"] for row in rows]
+            length_s = [row["length_s_mean"] for row in rows]
+            panels[0, column].plot(noise, success, "o-", color=colour, label=way)
+            panels[1, column].plot(noise, length_s, "o-", color=colour, label=way)
+        for panel in panels[:, column]:
+            panel.axvline(withstood, color=GREY, linestyle=":", linewidth=1)
+        panels[0, column].annotate(
+            f"{TITLE}:\nwithstood to here",
+            (withstood, 4),
+            xytext=(4, 0),
+            textcoords="offset points",
+            fontsize=7,
+            color=GREY,
+        )
+        _plain(panels[1, column], xlabel=label, ylim=(0, 10.5))
+        _plain(panels[0, column], ylim=(0, 104))
+    panels[0, 0].set_ylabel("success, %")
+    panels[1, 0].set_ylabel("episode length, s")
+    panels[0, 0].legend(frameon=False, title=f"{100 * rise_m:g} cm stairs", loc="lower left")
+    return figure
+
+
+def draw_loads(document: Document) -> Figure:
+    """Peak torque and speed of each joint, left beside right, as shares of the limits."""
+    joints = document["gait"].get("joints", [])
+    half = len(joints) // 2
+    names = [plain_joint(row["joint"]) for row in joints[:half]]
+    figure = Figure(figsize=(9, 3.8), layout="constrained")
+    quantities = (
+        ("torque", "peak_torque_nm", "torque_limit_nm", "N m"),
+        ("speed", "peak_speed_rad_s", "speed_limit_rad_s", "rad/s"),
+    )
+    for axes, (title, peak, limit, unit) in zip(figure.subplots(1, 2), quantities, strict=True):
+        for offset, rows, colour, label in (
+            (-0.2, joints[:half], LEFT, "left"),
+            (0.2, joints[half:], RIGHT, "right"),
+        ):
+            share = [100 * row[peak] / row[limit] for row in rows]
+            places = np.arange(half) + offset
+            axes.bar(places, share, 0.38, color=colour, label=label)
+            for place, height, row in zip(places, share, rows, strict=True):
+                axes.annotate(
+                    f"{row[peak]:.0f}" if row[peak] >= 10 else f"{row[peak]:.2f}",
+                    (place, height),
+                    xytext=(0, 2),
+                    textcoords="offset points",
+                    ha="center",
+                    fontsize=7,
+                )
+        axes.axhline(100, color=GREY, linestyle=":", linewidth=1)
+        _plain(axes, ylabel=f"peak {title}, % of its limit", ylim=(0, 108))
+        axes.set_title(f"numbers: {unit}", fontsize=8, color=GREY, loc="right")
+        axes.set_xticks(np.arange(half), names, rotation=30, ha="right")
+        axes.grid(visible=False, axis="x")
+    axes.legend(frameon=False)
+    return figure
+
+
+def plain_joint(name: str) -> str:
+    """A left joint's name in words: L_HIP_P, left_hip_pitch_joint and LCP all give hip pitch."""
+    bare = re.sub(r"^(left|l)_?|_joint$", "", name.lower())
+    bare = re.sub(r"^([cka])([ypr])$", r"\1_\2", bare)
+    words = [_JOINT_WORDS.get(word, word) for word in bare.split("_")]
+    return "knee" if words[0] == "knee" else " ".join(words)
+
+
+_JOINT_WORDS = {"c": "hip", "k": "knee", "a": "ankle", "y": "yaw", "p": "pitch", "r": "roll"}
+
+
+def draw_forces(document: Document) -> Figure:
+    """Vertical ground force of both feet over a gait cycle, in robot weights."""
+    gait = document["gait"]
+    figure = Figure(figsize=(7, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for side, (name, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
+        mean, low, high = (_curve(gait[f"force_{kind}"][side]) for kind in ("mean", "low", "high"))
+        axes.fill_between(gait["cycle_time_s"], low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.plot(gait["cycle_time_s"], mean, color=colour, label=name)
+    axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1)
+    _plain(
+        axes,
+        xlabel="time in the gait cycle from the right foot's lift-off, s",
+        ylabel="vertical force / weight",
+        xlim=(0, gait["cycle_time_s"][-1]),
+        ylim=(0, None),
+    )
+    axes.legend(frameon=False, ncols=2, loc="upper right")
+    return figure
+
+
+def draw_contact(document: Document) -> Figure:
+    """The phase indicator of each foot against its measured contact."""
+    gait = document["gait"]
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    panels = figure.subplots(2, 1, sharex=True)
+    for side, (name, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
+        axes = panels[side]
+        time_s = gait["cycle_time_s"]
+        share = _curve(gait["contact_mean"][side])
+        axes.fill_between(time_s, share, color=colour, alpha=0.3, linewidth=0, label="contact")
+        asked = (1 + _curve(gait["indicator_mean"][side])) / 2
+        axes.plot(time_s, asked, color="black", linewidth=1.2, label="phase indicator")
+        _plain(axes, ylabel=f"{name} foot", ylim=(-0.05, 1.1), xlim=(0, time_s[-1]))
+        axes.set_yticks([0, 1], ["swing", "support"])
+    panels[0].legend(frameon=False, ncols=2, fontsize=8, loc="lower left")
+    panels[1].set_xlabel("time in the gait cycle from the right foot's lift-off, s")
+    return figure
+
+
+def draw_push(document: Document) -> Figure:
+    """Success against impulse, in four directions."""
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
+    colours = (UP, DOWN, LEFT, RIGHT)
+    for row, colour in zip(document["push"], colours, strict=False):
+        success = [100 * share for share in row["success"]]
+        axes.plot(row["impulses_ns"], success, "o-", color=colour, label=row["direction"])
+    _plain(axes, xlabel="impulse, N s", ylabel="success, %", ylim=(0, 104), xlim=(0, None))
+    axes.legend(frameon=False, title="pushed")
+    return figure
+
+
+def draw_energy(document: Document) -> Figure:
+    """Cost of transport over walking speed, a line for each kind of walk."""
+    figure = Figure(figsize=(7, 3.6), layout="constrained")
+    axes = figure.subplots()
+    marks = {"forward": ("o-", UP), "backward": ("s-", DOWN), "sideways": ("^-", LEFT)}
+    for kind, (mark, colour) in marks.items():
+        rows = [row for row in document["energy"] if row["kind"] == kind and row["speed_m_s"]]
+        speed = [row["speed_m_s"] for row in rows]
+        cost = [row["cost_of_transport"] for row in rows]
+        axes.plot(speed, cost, mark, color=colour, label=kind)
+    _plain(
+        axes,
+        xlabel="walking speed, m/s",
+        ylabel="cost of transport E / (m g d)",
+        xlim=(0, None),
+        ylim=(0, None),
+    )
+    axes.legend(frameon=False)
+    return figure
+
+
+def _curve(values: Sequence[float | None]) -> np.ndarray:
+    """Numbers with gaps where there are none."""
+    return np.array([np.nan if value is None else value for value in values], dtype=float)
+
+
+FIGURES: Mapping[str, tuple[str, Callable[[Document], Figure]]] = {
+    "errors.png": ("modes", draw_errors),
+    "stairs.png": ("stairs", draw_stairs),
+    "loads.png": ("gait", draw_loads),
+    "forces.png": ("gait", draw_forces),
+    "contact.png": ("gait", draw_contact),
+    "push.png": ("push", draw_push),
+    "energy.png": ("energy", draw_energy),
+    "limits.png": ("limits", draw_limits),
+}

@@ -1,0 +1,1 @@
+"""Pictures and films of plans, walks and corpora."""

@@ -1,0 +1,1 @@
+"""Whether feet and body are clear of the map, and what ground is under them."""

@@ -1,0 +1,1 @@
+"""What the way from a node to the goal costs, at least or about."""

@@ -1,0 +1,223 @@
+"""Path costs that spread over the body's cells: one flood for all who ask for them, compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.checks.collision import Terrain, point_clearance
+from planner.estimates.guide import MOVES, Potential
+from planner.lattice.space import Int64s, Space, to_grid
+
+NOWHERE_UM = 1 << 30
+SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
+EVERYWHERE = np.zeros(0, np.uint8)
+NO_CELLS = np.zeros(0, np.int64)
+_RIM = 2  # cells at the edge of the lattice where no body is
+
+
+class Ahead(NamedTuple):
+    """The straight way from a cell to one at col, row, by what moves cost over free cells.
+
+    slack_um: by how much less the whole counts.
+    """
+
+    col: int
+    row: int
+    level_um: int
+    diagonal_um: int
+    knight_um: int
+    slack_um: int
+
+
+class Moves(NamedTuple):
+    """Moves around a cell (16, 2), columns and rows, what each costs, and the reach of a body."""
+
+    around: Int64s
+    cost_um: Int64s
+    reach_m: float
+
+
+NOT_DRAWN = Ahead(0, 0, 0, 0, 0, 0)
+
+
+def moves_of(guide: Potential) -> Moves:
+    """How paths of a robot's body move, and what that costs."""
+    return Moves(MOVES, guide.move_um, guide.reach_m)
+
+
+@njit(cache=True)
+def ahead_um(ahead: Ahead, col: int, row: int) -> int:
+    """Cost of the straight way from a cell, less the slack."""
+    if ahead.level_um == 0:
+        return 0
+    across, up = abs(col - ahead.col), abs(row - ahead.row)
+    far, near = max(across, up), min(across, up)
+    if 2 * near <= far:
+        cost = near * ahead.knight_um + (far - 2 * near) * ahead.level_um
+    else:
+        cost = (far - near) * ahead.knight_um + (2 * near - far) * ahead.diagonal_um
+    return max(cost - ahead.slack_um, 0)
+
+
+@njit(cache=True)
+def spread_costs(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    seeds: Int64s,
+    seed_um: Int64s,
+    moves: Moves,
+    wanted: Int64s,
+    beyond_um: int,
+    mask: NDArray[np.uint8],
+    ahead: Ahead,
+) -> int:
+    """Path costs + 1 from the seeds (n,), each with its own cost, in order of cost and way ahead.
+
+    cost_um (rows * cols,): filled in, SHUT_CELL where no body can be; what is SHUT_CELL already
+    stays so. wanted (k,): the end comes so much after the first of these has its cost; with none
+    all is done. mask (rows * cols,): cells that costs may spread to, all for (0,). ahead: NOT_DRAWN
+    for Dijkstra's search, else A*. A ring of buckets; in one, cells are done in any order.
+
+    Returns NOWHERE_UM once no cell is left; else what the cost and the way ahead of any cell that
+    was not done add up to at least.
+    """
+    around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
+    cols = space.cols
+    queue, shift, bucket = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
+    head, cells, costs, after, waiting = queue
+    ring, used, last = len(head) - 1, waiting, -1
+    while waiting > 0:
+        if last < 0:
+            for i in range(len(wanted)):
+                if cost_um[wanted[i]] > 0:
+                    last = bucket + (beyond_um >> shift)
+        elif bucket > last:
+            return bucket << shift
+        entry = head[bucket & ring]
+        head[bucket & ring] = -1
+        while entry >= 0:
+            cell, here = cells[entry], costs[entry]
+            entry = after[entry]
+            waiting -= 1
+            if cost_um[cell] != here:
+                continue  # it came to cost less
+            row = cell // cols
+            col = cell - row * cols
+            if used + len(move_um) > len(cells):
+                cells = np.concatenate((cells, np.empty_like(cells)))
+                costs = np.concatenate((costs, np.empty_like(costs)))
+                after = np.concatenate((after, np.empty_like(after)))
+            for move in range(len(move_um)):
+                to_col, to_row = col + around[move, 0], row + around[move, 1]
+                near = to_row * cols + to_col
+                there = here + move_um[move]
+                old = np.int64(cost_um[near])
+                if old == 0:
+                    shut = len(mask) > 0 and mask[near] == 0
+                    if shut or _is_shut(space, to_col, to_row, reach_m):
+                        cost_um[near] = SHUT_CELL
+                        continue
+                elif old <= there:
+                    continue  # as it is if it is shut
+                cost_um[near] = there
+                slot = (there - 1 + ahead_um(ahead, to_col, to_row)) >> shift & ring
+                cells[used], costs[used] = near, there
+                if slot == bucket & ring:
+                    # It is due in this very turn.
+                    after[used], entry = entry, used
+                else:
+                    after[used], head[slot] = head[slot], used
+                used += 1
+                waiting += 1
+        bucket += 1
+    return NOWHERE_UM
+
+
+@njit(cache=True)
+def _queue_seeds(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    seeds: Int64s,
+    seed_um: Int64s,
+    moves: Moves,
+    ahead: Ahead,
+) -> tuple[tuple[Int64s, Int64s, Int64s, Int64s, int], int, int]:
+    """The queue, how many bits of a key do not count for its bucket, and the first bucket.
+
+    Of the queue the ring of buckets, its entries' cells, costs + 1 and next entries, and how many.
+    """
+    shift = 0
+    while 2 << shift <= moves.cost_um.min():
+        shift += 1
+    key_um = np.empty(len(seeds), np.int64)
+    low, high = NOWHERE_UM, 0
+    for i in range(len(seeds)):
+        row = seeds[i] // space.cols
+        key_um[i] = seed_um[i] + ahead_um(ahead, seeds[i] - row * space.cols, row)
+        low, high = min(low, key_um[i]), max(high, key_um[i])
+    # The way ahead changes by no more than a move costs.
+    span = (2 * moves.cost_um.max() + max(high - low, 0) >> shift) + 2
+    ring = 1
+    while ring < span:
+        ring *= 2
+    head = np.full(ring, -1, np.int64)
+    room = max(1 << 13, len(seeds))
+    cells, costs, after = (
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+    )
+    used = 0
+    for i in range(len(seeds)):
+        cell, slot = seeds[i], key_um[i] >> shift & ring - 1
+        if cost_um[cell] == SHUT_CELL or cell_shut(space, cell, moves.reach_m):
+            continue
+        cost_um[cell] = seed_um[i] + 1
+        cells[used], costs[used] = cell, seed_um[i] + 1
+        after[used], head[slot] = head[slot], used
+        used += 1
+    return (head, cells, costs, after, used), shift, low >> shift
+
+
+@njit(cache=True)
+def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
+    """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
+    row = cell // space.cols
+    return _is_shut(space, cell - row * space.cols, row, reach_m)
+
+
+@njit(cache=True)
+def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
+    if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
+        return True
+    x, y = to_grid(
+        space, (col - space.origin_col) * space.cell_m, (row - space.origin_row) * space.cell_m
+    )
+    return is_nearer(space.terrain, x, y, reach_m)
+
+
+@njit(cache=True)
+def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
+    """Whether blocked ground or the map's edge is nearer to a point than reach_m, exactly.
+
+    Never for a reach of 0 or less.
+    """
+    if reach_m <= 0.0 or point_clearance(terrain, x, y) >= reach_m:
+        return False
+    size = terrain.resolution_m
+    rows, cols = terrain.blocked.shape
+    if min(x, y, cols * size - x, rows * size - y) < reach_m:
+        return True
+    for row in range(math.floor((y - reach_m) / size), math.floor((y + reach_m) / size) + 1):
+        dy = max(row * size - y, y - (row + 1) * size, 0.0)
+        for col in range(math.floor((x - reach_m) / size), math.floor((x + reach_m) / size) + 1):
+            if row < rows and col < cols and terrain.blocked[row, col]:
+                dx = max(col * size - x, x - (col + 1) * size, 0.0)
+                if dx * dx + dy * dy < reach_m * reach_m:
+                    return True
+    return False

@@ -1,0 +1,1 @@
+"""Plans moved off the lattice to where they cost least."""

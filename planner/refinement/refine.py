@@ -1,0 +1,179 @@
+"""Refinement of a plan off the lattice: its steps move to where they cost less, and get fewer.
+
+The search rounds every step to a lattice and takes steps from a set; the robot could make any step
+within its limits. So the steps of the plan found are moved continuously, within the same limits and
+clear of the same obstacles, until they cost least (`relax.py`). What that straightens needs fewer
+steps: the chain is laid out anew with fewer, each longer, and moved again, as long as that works.
+The last two feet stay those of the goal, the start feet where the robot stands.
+
+Where turning is cheap, walking straight with both feet turned out is the cheapest of all, for the
+way from foot to foot then crosses over less. No robot should walk like that, so while steps move a
+radian costs at least _LEAST_TURN_COST_M. The plan is taken only if it is cheaper without that, too.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.lattice.layout import MICRO
+from planner.plan import wrap_angle
+from planner.refinement.chain import (
+    NOT_ALLOWED,
+    Rules,
+    build_rules,
+    chain_cost_um,
+    foot_height_um,
+    turn_between,
+)
+from planner.refinement.relax import relax
+from planner.searches.request import Request, Result
+
+FloatArray = NDArray[np.float64]
+_ITERATIONS = 12  # of one attempt; nearly all that succeed at all do so in fewer
+_LAST_ITERATIONS = 20
+_LEAST_TURN_COST_M = 0.2
+_PARTS = 10  # at first one step in so many is left out at once
+
+
+class _Chain(NamedTuple):
+    """Poses (N + 1, 3) as in `chain.py`, the sign of the first step's side, and the cost."""
+
+    poses: FloatArray
+    outward: float
+    cost_um: int
+
+
+def refine(request: Request, result: Result) -> Result:
+    """The result of a search with its steps moved, and perhaps fewer, at a lower cost.
+
+    The same result where nothing cheaper is found. It depends on nothing but its arguments.
+    """
+    space, model = request.space, request.model
+    if len(result.side) <= 2:
+        return result
+    rules = build_rules(
+        space,
+        model,
+        _to_grid(request.feet_lattice, space.frame),
+        np.rint(request.feet_m * MICRO).astype(np.int64),
+        0.0 if request.stands else model.body_margin_m,
+    )
+    outward = 1.0 - 2.0 * result.side[0]
+    poses = np.vstack([request.feet_lattice[1 - result.side[0]], result.pose_lattice])
+    poses = _to_grid(poses, space.frame)
+    stance, per_step, per_turn, per_side, per_back = rules.weights
+    weights = stance, per_step, max(per_turn, _LEAST_TURN_COST_M), per_side, per_back
+    straight = rules._replace(weights=weights)
+    before_um = chain_cost_um(straight, poses, outward)
+    if before_um == NOT_ALLOWED:
+        return result
+    may_swap = request.first_side is None
+    found, outward, _ = _shorten(straight, _Chain(poses, outward, before_um), may_swap)
+    found_um = chain_cost_um(rules, found, outward)
+    if not 0 <= found_um < round(result.cost_m * MICRO):
+        return result
+    first = 0 if outward > 0 else 1
+    side = ((np.arange(len(found) - 1) + first) % 2).astype(np.int8)
+    pose_lattice = _to_lattice(found[1:], space.frame)
+    # The goal feet are the same to the bit.
+    goals = {int(s): p for s, p in zip(result.side[-2:], result.pose_lattice[-2:], strict=True)}
+    pose_lattice[-2:] = [goals[int(s)] for s in side[-2:]]
+    height_um = np.array([foot_height_um(space, pose) for pose in found[1:]])
+    return replace(
+        result,
+        side=side,
+        pose_lattice=pose_lattice,
+        z_m=height_um / MICRO,
+        cost_m=found_um / MICRO,
+    )
+
+
+def _to_grid(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
+    """Poses (n, 3) of the lattice frame in the grid frame."""
+    x, y, cos, sin = frame
+    in_grid = np.empty(poses.shape)  # row by row: what is called is compiled for that order alone
+    in_grid[:, 0] = x + cos * poses[:, 0] - sin * poses[:, 1]
+    in_grid[:, 1] = y + sin * poses[:, 0] + cos * poses[:, 1]
+    in_grid[:, 2] = poses[:, 2] + math.atan2(sin, cos)
+    return in_grid
+
+
+def _to_lattice(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
+    """Poses (n, 3) of the grid frame in the lattice frame."""
+    x, y, cos, sin = frame
+    dx, dy = poses[:, 0] - x, poses[:, 1] - y
+    yaw = wrap_angle(poses[:, 2] - math.atan2(sin, cos))
+    return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, yaw])
+
+
+# Not compiled: it calls little, and would take longer to compile than all that it calls.
+def _shorten(rules: Rules, found: _Chain, may_swap: bool) -> _Chain:
+    """The cheapest chain found from a chain on."""
+    swaps = (False, True) if may_swap else (False,)
+    best = _moved(rules, found, len(found.poses) - 1, False, _ITERATIONS, 0)
+    fewer = max(1, len(found.poses) // _PARTS)
+    while fewer > 0:
+        before, steps = best, len(best.poses) - 1 - fewer
+        for swap in swaps:
+            if steps >= 2 and best is before:
+                best = _moved(rules, before, steps, swap, _ITERATIONS, before.cost_um)
+        if best is before:
+            fewer = 1 if fewer > 1 else 0
+    for swap in swaps:
+        best = _moved(rules, best, len(best.poses) - 1, swap, _LAST_ITERATIONS, 0)
+    return best
+
+
+def _moved(
+    rules: Rules, chain: _Chain, steps: int, swap: bool, iterations: int, enough_um: int
+) -> _Chain:
+    """A chain with so many steps along the way of another, or that one if it is no cheaper.
+
+    swap: the other foot goes first. iterations, enough_um: as in `relax`.
+    """
+    trial = _laid_out(rules.feet, chain.poses, chain.outward, steps, swap)
+    outward = -chain.outward if swap else chain.outward
+    best = np.empty_like(trial)
+    cost_um = relax(rules, trial, outward, iterations, enough_um, best)
+    if cost_um == NOT_ALLOWED or cost_um >= chain.cost_um:
+        return chain
+    return _Chain(best, outward, cost_um)
+
+
+@njit(cache=True)
+def _laid_out(
+    feet: FloatArray, poses: FloatArray, outward: float, steps: int, swap: bool
+) -> FloatArray:
+    """Chain (steps + 1, 3) along the way of another (N + 1, 3) that begins at feet (2, 3).
+
+    Left and right feet each go along the line through their places in the old chain, at equal parts
+    of its duration. swap: the other foot goes first.
+    """
+    old = len(poses) - 1
+    chain = np.empty((steps + 1, 3))
+    for i in range(steps + 1):
+        # Old chains have the first support foot's places at even numbers.
+        parity = (i + 1) % 2 if swap else i % 2
+        at = i * old / steps
+        before = 2 * math.floor((at - parity) / 2.0) + parity
+        if i >= steps - 1 or before + 2 > old:
+            chain[i] = poses[old if old % 2 == parity else old - 1]
+            continue
+        # The foot that went first in the old chain stood at the start until then.
+        first = feet[0 if outward > 0 else 1] if before < 0 else poses[before]
+        part = (at - before) / 2.0
+        turn = turn_between(first[2], poses[before + 2, 2])
+        chain[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
+        chain[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
+        chain[i, 2] = first[2] + part * turn
+    if swap:
+        chain[0] = feet[0 if outward > 0 else 1]
+    else:
+        chain[0] = poses[0]
+    return chain

@@ -1,0 +1,1 @@
+"""Searches over the lattice: one request in, one result out."""

@@ -1,0 +1,33 @@
+"""What proves, without a plan and without a full search, that no steps lead to the goal."""
+
+from __future__ import annotations
+
+from planner.lattice.flood import Verdict, new_flood, spread
+from planner.searches.request import Request, first_nodes, no_first_step
+from planner.searches.task import forward_task
+
+_NODES = 1 << 17  # that each flood goes on from
+_BEGIN = "the goal cannot be reached: "
+
+
+def is_shut(request: Request) -> str:
+    """Why there is no way as the lattice's 2D search knows it, which is quick; empty if unknown."""
+    nodes, costs_um = first_nodes(request)
+    if not len(nodes):
+        return no_first_step(request).reason
+    if forward_task(request, nodes, costs_um).may_connect:
+        return ""
+    return f"{_BEGIN}obstacles enclose the start or the goal for a body of this width"
+
+
+def how_enclosed(request: Request) -> str:
+    """What floods of the lattice prove to enclose the start or the goal; empty if unknown."""
+    space = request.space
+    flood = new_flood(space, first_nodes(request)[0], request.toward.ends)
+    flood, verdict = spread(space, flood, _NODES)
+    poses = int(flood.ends[1] + flood.ends[3])
+    if verdict is Verdict.GOAL_ENCLOSED:
+        return f"{_BEGIN}obstacles leave no steps from outside to the goal ({poses} poses tried)"
+    if verdict is Verdict.START_ENCLOSED:
+        return f"{_BEGIN}obstacles leave no steps out from the start ({poses} poses tried)"
+    return ""

@@ -1,0 +1,134 @@
+"""Mending a kept search tree after a change of the map, compiled.
+
+A node whose step from the one before it is no longer allowed, or costs more, is cut off with all
+that hangs on it. What borders on the cut is open again, and so is what may lower others where
+something became free: the search then finds the rest anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.lattice.region import may_end_at
+from planner.lattice.space import COST_UM, D_NODE, Space, node_free
+from planner.searches.graft import step_um
+from planner.searches.search import FROM_START, Tree
+
+Nodes = NDArray[np.int32]
+_MARK = 255  # of `Tree.round`, which no round has
+
+
+@njit(cache=True)
+def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
+    """Takes out of the tree what a change near some cells (n,) cuts off; the nodes taken out."""
+    rows = 2 * space.headings
+    removed = np.empty(1 << 10, np.int32)
+    number = 0
+    for i in range(len(cells)):
+        for row in range(rows):
+            node: int = cells[i] * rows + row
+            known: int = np.int64(tree.cost_um[node])  # type: ignore[assignment]
+            if known == 0 or _stands(space, tree, node, known):
+                continue
+            removed = _with_room(removed, number)
+            removed[number] = node
+            number += 1
+            tree.cost_um[node] = 0
+    done = 0
+    while done < number:
+        node = np.int64(removed[done])  # type: ignore[assignment]
+        done += 1
+        row = node % rows
+        for k in range(tree.steps.shape[1]):
+            to = node + tree.steps[row, k, D_NODE]
+            if tree.steps[row, k, COST_UM] == 0 or tree.cost_um[to] == 0:
+                continue
+            if tree.before[to] == node:
+                removed = _with_room(removed, number)
+                removed[number] = to
+                number += 1
+                tree.cost_um[to] = 0
+    return removed[:number]
+
+
+@njit(cache=True)
+def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
+    """Whether a node can still be reached from the one before it, and for no more.
+
+    That one may have been cut off itself, and the node then follows it.
+    """
+    before: int = np.int64(tree.before[node])  # type: ignore[assignment]
+    if before == FROM_START:
+        return may_end_at(space, node)
+    if tree.cost_um[before] == 0:
+        return True
+    cost = step_um(space, tree, before, node)
+    return cost >= 0 and tree.cost_um[before] + cost <= known
+
+
+@njit(cache=True)
+def border(
+    space: Space,
+    tree: Tree,
+    removed: Nodes,
+    cells: NDArray[np.int64],
+) -> Nodes:
+    """Known nodes (n,) from which steps may lead to removed ones, or lower others from some cells.
+
+    Rounds must have been counted anew (see `graft.renew`).
+    """
+    rows, steps = 2 * space.headings, space.steps
+    found = np.empty(1 << 10, np.int32)
+    number = 0
+    for i in range(len(removed)):
+        node: int = np.int64(removed[i])  # type: ignore[assignment]
+        if not node_free(space, node):
+            continue
+        row = node % rows
+        # The tree grows from the goal, so the steps of the robot lead back in it.
+        for k in range(steps.shape[1]):
+            near = node + steps[row, k, D_NODE]
+            if steps[row, k, COST_UM] == 0 or tree.cost_um[near] == 0 or tree.round[near] == _MARK:
+                continue
+            tree.round[near] = _MARK
+            found = _with_room(found, number)
+            found[number] = near
+            number += 1
+    for i in range(len(cells)):
+        for row in range(rows):
+            node = cells[i] * rows + row
+            if tree.cost_um[node] == 0 or tree.round[node] == _MARK:
+                continue
+            if _may_lower(space, tree, node):
+                tree.round[node] = _MARK
+                found = _with_room(found, number)
+                found[number] = node
+                number += 1
+    for i in range(number):
+        tree.round[found[i]] = 0
+    return found[:number]
+
+
+@njit(cache=True)
+def _may_lower(space: Space, tree: Tree, node: int) -> bool:
+    """Whether a step from a node would come to a free one that is not known, or is for less."""
+    row = node % (2 * space.headings)
+    for k in range(tree.steps.shape[1]):
+        if tree.steps[row, k, COST_UM] == 0:
+            continue
+        to = node + tree.steps[row, k, D_NODE]
+        old = np.int64(tree.cost_um[to])
+        is_lower = old == 0 or tree.cost_um[node] + tree.steps[row, k, COST_UM] < old
+        if is_lower and node_free(space, to):
+            return True
+    return False
+
+
+@njit(cache=True)
+def _with_room(nodes: Nodes, used: int) -> Nodes:
+    """The array, twice as long once it is full."""
+    if used < len(nodes):
+        return nodes
+    return np.concatenate((nodes, np.empty_like(nodes)))

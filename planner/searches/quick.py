@@ -1,0 +1,105 @@
+"""A first plan soon: a search in the strip of ground that the path of the body lies in.
+
+The path comes from A* over the body's cells, from the goal toward the start. It looks at a few of
+the cells that the heuristic of the full search wants to know; the search for steps then keeps to
+those cells, weighs their path cost more than it is due, and goes from place to place rather than
+from state to state (`places.py`). Where it finds nothing nothing is lost: the full search follows
+in any case, or proves what is asked.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.estimates.body_path import Strip, path_toward, raise_by_arrival
+from planner.estimates.exits import SECTORS
+from planner.lattice.layout import final_cost_um
+from planner.lattice.pages import zeros
+from planner.lattice.space import Int64s
+from planner.options import PlannerOptions
+from planner.searches import search
+from planner.searches.places import EVERY_STATE, places_of
+from planner.searches.request import Request
+from planner.searches.search import Heuristic
+from planner.searches.task import Task
+from planner.searches.toward import body_cells_of
+
+# Weights, with as many expansions as each may take, and whether by places or by all states.
+_TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuickPath:
+    """Nodes of a plan but for its last, its cost, and what any plan costs at least."""
+
+    nodes: Int64s
+    cost_um: int
+    least_um: int
+    expansions: int
+
+
+def quick_path(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
+) -> QuickPath | None:
+    """A plan from the first steps (n,) with their costs; None where the strip holds none."""
+    toward, exits = request.toward, request.toward.tables.exits
+    potential_um = toward.tables.potential.potential_um.reshape(-1)
+    cells = body_cells_of(toward, nodes)
+    path = path_toward(request.space, toward.tables.potential, np.unique(cells))
+    if not np.any(path.cost_um[cells] > 0):
+        return None
+    rows = nodes % (2 * request.space.headings)
+    bounds_um = costs_um + path.least_um(cells) + potential_um[rows]
+    arrive_um = _lift(request, path, int(cells[np.argmin(costs_um)]))
+    task = Task(
+        space=request.space,
+        heuristic=Heuristic(
+            path.cost_um,
+            path.settled_um + arrive_um,  # off the strip it is as far as from the start
+            toward.body_cell,
+            potential_um,
+            toward.tables.endgame.cost_um,
+            toward.tables.endgame.cap_um,
+            toward.tables.facing.depart_um,
+            zeros(request.space.cols * request.space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
+            exits.ring,
+            exits.radius_cells,
+        ),
+        steps=request.space.steps,
+        is_backward=False,
+        roots=nodes,
+        root_um=costs_um,
+        goals=toward.goal_nodes,
+        goal_um=np.full(2, final_cost_um(request.model)),
+    )
+    expansions = 0
+    for epsilon, budget, by_places in _TRIES:
+        places = places_of(task.space) if by_places else EVERY_STATE
+        tree = task.tree()._replace(places=places)
+        weight = max(options.epsilon, epsilon)
+        search.begin_round(task.space, task.heuristic, tree, weight)
+        budget = min(budget, options.max_expansions - expansions)
+        search.expand(task.space, task.heuristic, tree, weight, budget)
+        expansions += int(tree.scalars[search.EXPANSIONS])
+        if tree.scalars[search.BEST_UM] < search.NO_COST:
+            return QuickPath(
+                nodes=task.in_order(search.trace(tree, int(tree.scalars[search.BEST_NODE]))),
+                cost_um=int(tree.scalars[search.BEST_UM]),
+                least_um=int(bounds_um.min()),
+                expansions=expansions,
+            )
+    return None
+
+
+def _lift(request: Request, path: Strip, start: int) -> int:
+    """Raises the path costs by what arriving costs; by how much far from the goal.
+
+    Near the goal the exact table counts every turn, farther off nothing does. A search that weighs
+    the heuristic would go along the border between the two and look everywhere outside first.
+    """
+    space, tables = request.space, request.toward.tables
+    goal = path.ahead._replace(col=space.origin_col, row=space.origin_row, slack_um=0)
+    table = tables.endgame.inside, tables.facing.arrive_um, tables.facing.exact_um
+    return raise_by_arrival(space, path.cost_um, start, goal, *table)

@@ -1,0 +1,400 @@
+"""Anytime weighted A* (ARA*) over the footstep lattice, compiled.
+
+After Likhachev, Gordon and Thrun, "ARA*: Anytime A* with Provable Bounds on Sub-Optimality", 2003:
+searches with a falling weight epsilon on the heuristic, each going on from the costs that the ones
+before found. A state whose cost falls after it was expanded waits for the next search (INCONS). The
+search goes from the start to the goal or, with the steps turned round, the other way.
+
+A state is the node of the foot that was placed last. OPEN is a row of buckets of equal width in f,
+each a stack. A bucket holds states in any order, but a search ends only when the lower edge of the
+first bucket in use is not below the cost of the plan, so bounds are exact.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.estimates.exits import exit_bound
+from planner.lattice.rise import step_climbs
+from planner.lattice.space import (
+    BLOCKED,
+    COST_UM,
+    D_CELL,
+    D_COL,
+    D_HALF,
+    D_NODE,
+    D_ROW,
+    HALF_HEADING,
+    TO_ROW,
+    UNKNOWN,
+    Space,
+    check_node,
+    clearance_cost,
+    measure_half,
+    pair_free,
+)
+from planner.searches.places import Places, takes_place
+
+BUCKETS = 1 << 13
+FROM_START = 0  # marks a root; node 0 lies on the rim, so it never is a predecessor
+
+# Entries of Tree.scalars
+USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, SLACK_UM = range(9)
+SCALARS = 9
+
+# What `expand` returns
+EXHAUSTED, FINISHED, IMPROVED, OUT_OF_BUDGET, OUT_OF_ENTRIES = range(5)
+# Costs of nodes are 32 bit: no plan costs as much as this, so none that would overflow is followed.
+NO_COST = (1 << 31) - 1
+_NO_KEY = 1 << 40
+
+
+class Heuristic(NamedTuple):
+    """The heuristic as the search reads it: see `guide.py`, `endgame.py` and `exits.py`.
+
+    detour_um (cells, SECTORS): filled in as the search goes on.
+    """
+
+    cost_um: NDArray[np.int32]
+    frontier_um: int
+    body_cell: NDArray[np.int64]
+    potential_um: NDArray[np.int64]
+    endgame_um: NDArray[np.int32]
+    cap_um: int
+    turn_um: NDArray[np.int64]
+    detour_um: NDArray[np.int32]
+    rim: NDArray[np.int64]
+    radius_cells: int
+
+
+class Tree(NamedTuple):
+    """State of a search, kept between calls of `expand`.
+
+    steps: `Space.steps` for a search from the start; for one from the goal the same turned round,
+    and `is_backward`. cost_um (nodes,): cost from the roots, 0 where none is known. before
+    (nodes,): the node that this one was reached from, FROM_START for a root. round (nodes,):
+    number of the search that expanded the node. entry_node, entry_next: stacks of the buckets;
+    head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
+    plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
+    scalars[SLACK_UM]: states are kept that cost up to so much more than the best plan; 0 for a tree
+    that is not used again. places: see `places.py`.
+    """
+
+    steps: NDArray[np.int64]
+    is_backward: bool
+
+    cost_um: NDArray[np.int32]
+    before: NDArray[np.int32]
+    round: NDArray[np.uint8]
+    entry_node: NDArray[np.int32]
+    entry_next: NDArray[np.int32]
+    head: NDArray[np.int32]
+    goals: NDArray[np.int64]
+    goal_um: NDArray[np.int64]
+    scalars: NDArray[np.int64]
+    places: Places
+
+
+@njit(cache=True)
+def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
+    """Cost in micrometres that no way from a node to the end of a plan falls below."""
+    row, cell = node % (2 * space.headings), node // (2 * space.headings)
+    body = cell + heuristic.body_cell[row]
+    path = heuristic.cost_um[body] - 1
+    if path < 0 or path > heuristic.frontier_um:
+        path = heuristic.frontier_um
+    endgame_um = heuristic.endgame_um
+    reach = len(endgame_um) // 2
+    col = cell % space.cols - space.origin_col + reach
+    up = cell // space.cols - space.origin_row + reach
+    exact = heuristic.cap_um
+    if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
+        exact = endgame_um[up, col, row]
+    least = exit_bound(
+        heuristic.detour_um,
+        heuristic.turn_um,
+        heuristic.cost_um,
+        heuristic.frontier_um,
+        heuristic.rim,
+        (heuristic.radius_cells, space.cols, space.origin_col, space.origin_row),
+        body,
+        row,
+    )
+    return max(path + heuristic.potential_um[row], exact, least)
+
+
+@njit(cache=True)
+def estimates(space: Space, heuristic: Heuristic, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """`estimate` of nodes (n,)."""
+    values_um = np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        values_um[i] = estimate(space, heuristic, nodes[i])
+    return values_um
+
+
+@njit(cache=True)
+def _push(tree: Tree, node: int, key_um: int) -> None:
+    scalars = tree.scalars
+    bucket = (key_um - scalars[BASE_UM]) >> scalars[SHIFT]
+    bucket = min(max(bucket, 0), BUCKETS - 1)
+    scalars[CURSOR] = min(scalars[CURSOR], bucket)
+    put(tree, node, bucket)
+
+
+@njit(cache=True)
+def put(tree: Tree, node: int, bucket: int) -> None:
+    """Adds an entry for a node to a bucket; there must be room for it."""
+    entry = tree.scalars[USED]
+    tree.entry_node[entry] = node
+    tree.entry_next[entry] = tree.head[bucket]
+    tree.head[bucket] = entry
+    tree.scalars[USED] = entry + 1
+
+
+@njit(cache=True)
+def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> None:
+    """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
+    for i in range(len(nodes)):
+        node, cost = nodes[i], costs_um[i]
+        old = tree.cost_um[node]
+        if old == 0 or cost < old:
+            tree.cost_um[node] = cost
+            tree.before[node] = FROM_START
+            put(tree, node, BUCKETS)
+            _offer(tree, node, cost)
+
+
+@njit(cache=True)
+def _offer(tree: Tree, node: int, cost_um: int) -> bool:
+    """Takes the node for the end of the plan if it is one of the goals and the best so far."""
+    scalars, goals = tree.scalars, tree.goals
+    if len(goals) == 0 or node < goals[0] or node > goals[-1]:
+        return False
+    index = np.searchsorted(goals, node)
+    if goals[index] != node or cost_um + tree.goal_um[index] >= scalars[BEST_UM]:
+        return False
+    scalars[BEST_UM] = cost_um + tree.goal_um[index]
+    scalars[BEST_NODE] = node
+    return True
+
+
+@njit(cache=True)
+def _limit_um(scalars: NDArray[np.int64]) -> int:
+    """What a state's cost and heuristic must stay below for the state to be kept."""
+    return min(scalars[BEST_UM] + scalars[SLACK_UM], NO_COST)
+
+
+@njit(cache=True)
+def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
+    """Moves OPEN and INCONS into fresh buckets for a weight epsilon.
+
+    Returns the least g + h of any open state: no plan that is still to be found costs less.
+    """
+    scalars = tree.scalars
+    scalars[ROUND] += 1
+    queued = 128 + scalars[ROUND]
+    limit_um = _limit_um(scalars)
+    nodes = np.empty(scalars[USED], np.int64)
+    values_um = np.empty(scalars[USED], np.int64)
+    number = 0
+    for bucket in range(BUCKETS + 1):
+        entry = tree.head[bucket]
+        tree.head[bucket] = -1
+        while entry >= 0:
+            node = tree.entry_node[entry]
+            entry = tree.entry_next[entry]
+            stale = bucket < BUCKETS and tree.round[node] == scalars[ROUND] - 1
+            if stale or tree.round[node] == queued:
+                continue
+            value = estimate(space, heuristic, node)
+            if tree.cost_um[node] + value >= limit_um:
+                continue
+            tree.round[node] = queued
+            nodes[number], values_um[number] = node, value
+            number += 1
+    scalars[USED] = 0
+    scalars[CURSOR] = BUCKETS
+    least, low, high = _NO_KEY, _NO_KEY, 0
+    for i in range(number):
+        value, cost = values_um[i], tree.cost_um[nodes[i]]
+        least = min(least, cost + value)
+        low = min(low, cost + int(epsilon * value))
+        high = max(high, cost + int(epsilon * value))
+    # Inflated keys fall on the way to the goal; with epsilon 1 they never do.
+    scalars[BASE_UM] = low if epsilon == 1.0 else 0
+    span = min(limit_um, high + 8_000_000) - scalars[BASE_UM]
+    scalars[SHIFT] = 0
+    while (span >> scalars[SHIFT]) >= BUCKETS - 1:
+        scalars[SHIFT] += 1
+    for i in range(number - 1, -1, -1):
+        _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * values_um[i]))
+    return least
+
+
+@njit(cache=True)
+def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
+    """Expands states until this round's search is over, the plan improves or budget is spent."""
+    scalars, head, rounds = tree.scalars, tree.head, tree.round
+    entry_node, entry_next = tree.entry_node, tree.entry_next
+    limit = scalars[EXPANSIONS] + budget
+    room = len(entry_node) - tree.steps.shape[1] - 1
+    cursor = scalars[CURSOR]
+    while True:
+        while cursor < BUCKETS and head[cursor] < 0:
+            cursor += 1
+        scalars[CURSOR] = cursor
+        if cursor == BUCKETS:
+            return EXHAUSTED
+        if scalars[BASE_UM] + (cursor << scalars[SHIFT]) >= scalars[BEST_UM]:
+            return FINISHED
+        if scalars[EXPANSIONS] >= limit:
+            return OUT_OF_BUDGET
+        if scalars[USED] > room:
+            return OUT_OF_ENTRIES
+        if cursor == BUCKETS - 1:
+            _widen(space, heuristic, tree, epsilon)
+            cursor = scalars[CURSOR]
+            continue
+        entry = head[cursor]
+        node: int = np.int64(entry_node[entry])  # type: ignore[assignment]
+        head[cursor] = entry_next[entry]
+        if rounds[node] == scalars[ROUND]:
+            continue
+        rounds[node] = scalars[ROUND]
+        if len(tree.places.least_um) > 0:
+            value = estimate(space, heuristic, node)
+            if not takes_place(space, tree.places, node, value):
+                continue
+        scalars[EXPANSIONS] += 1
+        if _expand_node(space, heuristic, tree, epsilon, node):
+            return IMPROVED
+        cursor = scalars[CURSOR]
+
+
+@njit(cache=True)
+def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
+    """Doubles the buckets' width once only the last is in use, which holds every higher key.
+
+    Without it the states there would be searched newest first, whatever they cost.
+    """
+    scalars = tree.scalars
+    nodes = np.empty(scalars[USED], np.int64)
+    ends = np.zeros(3, np.int64)
+    for k in range(2):
+        entry = tree.head[BUCKETS - 1 + k]
+        ends[k + 1] = ends[k]
+        while entry >= 0:
+            nodes[ends[k + 1]] = tree.entry_node[entry]
+            ends[k + 1] += 1
+            entry = tree.entry_next[entry]
+        tree.head[BUCKETS - 1 + k] = -1
+    scalars[USED] = 0
+    scalars[CURSOR] = BUCKETS
+    scalars[SHIFT] += 1
+    for i in range(ends[1] - 1, -1, -1):
+        if tree.round[nodes[i]] != scalars[ROUND]:
+            value = estimate(space, heuristic, nodes[i])
+            _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * value))
+    for i in range(ends[2] - 1, ends[1] - 1, -1):
+        put(tree, nodes[i], BUCKETS)
+
+
+@njit(cache=True)
+def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, node: int) -> bool:
+    """Relaxes all steps from a node; whether a better plan came of it."""
+    # Arrays in local names: taken from the tuples in the loop they cost more than the loop itself.
+    scalars, cost_um, rounds = tree.scalars, tree.cost_um, tree.round
+    steps, node_state, half_clear_m = tree.steps, space.node_state, space.half_clear_m
+    path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
+    body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
+    endgame_um = heuristic.endgame_um
+    detour_um, turn_um, rim = heuristic.detour_um, heuristic.turn_um, heuristic.rim
+    circle = heuristic.radius_cells, space.cols, space.origin_col, space.origin_row
+    body_radius_m = np.sqrt(space.body[0] ** 2 + space.body[1] ** 2) + 1e-6
+    round_now = scalars[ROUND]
+    here = np.int64(cost_um[node])
+    row = node % (2 * space.headings)
+    cell = node // (2 * space.headings)
+    half_base = cell // space.cols * 4 * space.cols + cell % space.cols * 2
+    reach = len(endgame_um) // 2
+    near_col = cell % space.cols - space.origin_col + reach
+    near_row = cell // space.cols - space.origin_row + reach
+    uneven = len(space.node_um) > 0
+    improved, limit_um = False, _limit_um(scalars)
+    for k in range(steps.shape[1]):
+        if steps[row, k, COST_UM] == 0:
+            continue
+        to = node + steps[row, k, D_NODE]
+        cost = here + steps[row, k, COST_UM]
+        old = np.int64(cost_um[to])
+        if old != 0 and cost >= old:
+            continue
+        state = node_state[to]
+        if state == UNKNOWN:
+            state = check_node(space, to)
+        if state == BLOCKED:
+            continue
+        to_row = steps[row, k, TO_ROW]
+        body = cell + steps[row, k, D_CELL] + body_cell[to_row]
+        path: int = np.int64(path_um[body]) - 1  # type: ignore[assignment]
+        if path < 0 or path > frontier_um:
+            path = frontier_um
+        value = path + potential_um[to_row]
+        col, up = near_col + steps[row, k, D_COL], near_row + steps[row, k, D_ROW]
+        if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
+            value = max(value, endgame_um[up, col, to_row])
+        else:
+            value = max(value, heuristic.cap_um)
+        if cost + value >= limit_um:
+            continue
+        value = max(
+            value, exit_bound(detour_um, turn_um, path_um, frontier_um, rim, circle, body, to_row)
+        )
+        if cost + value >= limit_um:
+            continue
+        half = half_base + steps[row, k, D_HALF]
+        clearance_m = half_clear_m[half] - 1.0
+        if clearance_m < 0.0:
+            clearance_m = measure_half(space, half) - 1.0
+        if clearance_m <= body_radius_m and not pair_free(space, half, steps[row, k, HALF_HEADING]):
+            continue
+        if uneven:
+            support, swing = (to, node) if tree.is_backward else (node, to)
+            if not step_climbs(space, support, swing):
+                continue
+        if clearance_m < space.clearance[0]:
+            cost += clearance_cost(space, clearance_m)
+            if (old != 0 and cost >= old) or cost + value >= limit_um:
+                continue
+        cost_um[to] = cost
+        tree.before[to] = node
+        if _offer(tree, to, cost):
+            improved, limit_um = True, _limit_um(scalars)
+        if rounds[to] != round_now:
+            _push(tree, to, cost + int(epsilon * value))
+        elif epsilon == 1.0:
+            rounds[to] = 0
+            _push(tree, to, cost + value)
+        else:
+            put(tree, to, BUCKETS)
+    return improved
+
+
+def with_more_entries(tree: Tree) -> Tree:
+    """The tree with room for twice as many entries."""
+    return tree._replace(
+        entry_node=np.append(tree.entry_node, np.empty_like(tree.entry_node)),
+        entry_next=np.append(tree.entry_next, np.empty_like(tree.entry_next)),
+    )
+
+
+def trace(tree: Tree, node: int) -> list[int]:
+    """Nodes from a root to a node, both included."""
+    path = [node]
+    while tree.before[path[-1]] != FROM_START:
+        path.append(int(tree.before[path[-1]]))
+    return path[::-1]

@@ -1,0 +1,150 @@
+"""The two directions of a search: from the start to the goal, and from the goal to the start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.estimates.body_path import spread_from
+from planner.lattice.layout import final_cost_um
+from planner.lattice.pages import zeros
+from planner.lattice.space import Int64s, Space, turned_round
+from planner.searches import search
+from planner.searches.drawn import draw_path
+from planner.searches.places import EVERY_STATE
+from planner.searches.request import Request
+from planner.searches.search import Heuristic, Tree
+from planner.searches.toward import body_cells_of
+
+_ENTRIES = 1 << 16  # at first; a search that needs more doubles them
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """A search between nodes: roots (n,) with what they cost, goals (m,) with what is still to pay.
+
+    The goals are in rising order. The heuristic looks toward the goals.
+    """
+
+    space: Space
+    heuristic: Heuristic
+    steps: Int64s
+    is_backward: bool
+    roots: Int64s
+    root_um: Int64s
+    goals: Int64s
+    goal_um: Int64s
+
+    def tree(self) -> Tree:
+        """A fresh tree with the roots in it."""
+        tree = new_tree(self.space, self.steps, self.is_backward)
+        tree = tree._replace(goals=self.goals, goal_um=self.goal_um)
+        search.seed(tree, self.roots, self.root_um)
+        return tree
+
+    @property
+    def may_connect(self) -> bool:
+        """Whether a path of the body leads from a root to the goals, if there are any."""
+        rows = self.roots % (2 * self.space.headings)
+        cells = self.roots // (2 * self.space.headings) + self.heuristic.body_cell[rows]
+        return len(self.goals) > 0 and bool(np.any(self.heuristic.cost_um[cells] > 0))
+
+    def in_order(self, path: list[int]) -> Int64s:
+        """Nodes of a path from a root to a goal in the order of the steps."""
+        return np.array(path[::-1] if self.is_backward else path, np.int64)
+
+
+def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
+    """A tree with neither roots nor goals."""
+    nodes = space.cols * space.rows * space.headings * 2
+    scalars = np.zeros(search.SCALARS, np.int64)
+    scalars[search.BEST_UM] = search.NO_COST
+    return Tree(
+        steps=steps,
+        is_backward=is_backward,
+        cost_um=zeros(nodes, np.int32),
+        before=zeros(nodes, np.int32),
+        round=zeros(nodes, np.uint8),
+        entry_node=np.empty(_ENTRIES, np.int32),
+        entry_next=np.empty(_ENTRIES, np.int32),
+        head=np.full(search.BUCKETS + 1, -1, np.int32),
+        goals=np.zeros(1, np.int64),  # a node of the rim, where no step leads
+        goal_um=np.zeros(1, np.int64),
+        scalars=scalars,
+        places=EVERY_STATE,
+    )
+
+
+def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
+    """From the first steps (n,) with their costs to the goal feet."""
+    ends = request.toward.ends
+    return Task(
+        space=request.space,
+        heuristic=request.heuristic,
+        steps=request.space.steps,
+        is_backward=False,
+        roots=nodes,
+        root_um=costs_um,
+        goals=ends,
+        goal_um=np.full(len(ends), final_cost_um(request.model)),
+    )
+
+
+def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
+    """From the goal feet to the first steps (n,) with their costs."""
+    roots = request.toward.ends
+    order = np.argsort(nodes)
+    return Task(
+        space=request.space,
+        heuristic=heuristic_toward_start(request, nodes, costs_um),
+        steps=turned_round(request.space.steps),
+        is_backward=True,
+        roots=roots,
+        root_um=np.full(len(roots), final_cost_um(request.model)),
+        goals=nodes[order],
+        goal_um=costs_um[order],
+    )
+
+
+def heuristic_toward_start(
+    request: Request, nodes: Int64s, costs_um: Int64s, further_um: int | None = None
+) -> Heuristic:
+    """Least cost from the start, by the inequality (1) of `guide.py` summed from a first step s.
+
+    h(t) = min over s of [ cost(s) + p(s) + D(cell(s), cell(t)) ] - p(t).
+
+    further_um: D may be too low, and is found sooner, where only paths to the goal pass that cost
+    so much more than the cheapest.
+    """
+    toward = request.toward
+    potential_um = toward.tables.potential.potential_um.reshape(-1)
+    value_um = costs_um + potential_um[nodes % (2 * request.space.headings)]
+    cells, index = np.unique(body_cells_of(toward, nodes), return_inverse=True)
+    least_um = np.full(len(cells), np.iinfo(np.int64).max)
+    np.minimum.at(least_um, index, value_um)
+    base_um = int(least_um.min())
+    seeds = cells, least_um - base_um
+    if further_um is None:
+        path = spread_from(request.space, toward.tables.potential, *seeds)
+    else:
+        ends = np.unique(body_cells_of(toward, toward.ends))
+        path = draw_path(request.space, toward.tables.potential, *seeds, ends, further_um)
+    rows = len(potential_um)
+    return Heuristic(
+        path.cost_um,
+        path.frontier_um,
+        toward.body_cell,
+        base_um - potential_um,
+        np.zeros((1, 1, rows), np.int32),  # there are no tables of the way from a start
+        0,
+        np.zeros((rows, 1), np.int64),
+        np.zeros((1, 1), np.int32),
+        np.zeros((0, 4), np.int64),
+        request.space.cols + request.space.rows,  # no exit bound: all is within the circle
+    )
+
+
+def least_toward_goal(request: Request, nodes: Int64s, costs_um: Int64s) -> int:
+    """What any plan costs at least by the heuristic toward the goal, from first steps (n,)."""
+    return int(np.min(costs_um + search.estimates(request.space, request.heuristic, nodes)))
