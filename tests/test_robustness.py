@@ -50,7 +50,7 @@ def impulses(disturbances):
 def test_amplitudes_fill_their_ranges_and_scale_with_the_hardness(hardness):
     disturbances = drawn(LOUD, hardness)
     for amplitude, highest in (
-        (np.degrees(disturbances.joint_noise_rad), 5.0),
+        (np.degrees(disturbances.joint_noise_rad), 6.5),
         (np.degrees(disturbances.tilt_noise_rad), 1.0),
         (disturbances.angular_speed_noise_rad_s, 0.1),
         (disturbances.late_ticks, 1.0),

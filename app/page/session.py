@@ -223,6 +223,7 @@ class Session:
         if self._rover.has_ended:
             self._notice = Notice(text=f"the robot has {self._rover.outcome}: reset it first")
             return
+        self._notice = None if fresh else self._notice
         ahead = self._rover.ahead()
         number = self._planner.ask(
             goal=goal, start_feet_world=ahead.feet_world, first_side=ahead.first_side
@@ -252,7 +253,7 @@ class Session:
         if not answer.plan.found:
             self._no_plan(question, answer)
             return
-        self._notice, self._preview = None, answer.plan
+        self._preview = answer.plan
         if question.ahead.first_side is None and not answer.is_last:
             return  # It stands: a moment of thought costs nothing.
         begun = self._followed_number == question.number
@@ -316,7 +317,7 @@ class Session:
         """What was asked is asked again, and what is walked is planned again."""
         if self._question is not None:
             self._ask_again(self._question)
-        elif self._rover.going and not self._rover.has_ended:
+        elif self._rover.going and not (self._rover.halted or self._rover.has_ended):
             self._ask(_pose(self._rover.goal), fresh=False)
 
     def _set_robot(self, robot: Robot, policy: Policy) -> None:
@@ -359,7 +360,6 @@ class Session:
     def _look(self) -> Snapshot:
         rover = self._rover
         plan, done = self._plan_to_show()
-        record = self.record
         return Snapshot(
             qpos=rover.qpos[-1],
             time_s=rover.time_s,
@@ -367,14 +367,14 @@ class Session:
             goal=_pose(rover.goal) if rover.plans else None,
             plan=plan,
             done=done,
-            placed_side=record.placed_side,
-            placed_world=record.placed_world,
-            foot_error_m=record.foot_error_m,
-            path_world=record.path_world,
+            placed_side=self.record.placed_side,
+            placed_world=self.record.placed_world,
+            foot_error_m=self.record.foot_error_m,
+            path_world=self.record.path_world,
             status=rover.status(is_asking=self._question is not None),
             replans=rover.replans,
             answer_s=self._answer_s,
-            clearance_m=record.clearance_m,
+            clearance_m=self.record.clearance_m,
             goal_error=rover.goal_error if rover.plans else None,
             speed=self.pace.reached,
             notice=self._notice,
