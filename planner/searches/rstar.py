@@ -6,9 +6,9 @@ way between two of them costs is at first only a lower bound; the way itself is 
 is its turn (`local.py`), and seldom far: a state that is hard to come to, or dearly, is put behind
 all that are not. Nothing of this sees the whole map. The plan is then improved in a strip along it.
 
-Where this finds nothing the full search follows, so no plan is missed; and it goes on from this
-plan unless the first is good enough. The bound reported is the full search's, or before it that of
-the straight way.
+Where this finds nothing the quick search follows (`quick.py`), and then the full one, so no plan is
+missed; and that goes on from this plan unless the first is good enough. The bound reported is the
+full search's, or before it that of the straight way.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planner.estimates.spread import cell_shut
 from planner.lattice.layout import final_cost_um
 from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
-from planner.searches.ara import Run
+from planner.searches.ara import Run, quick_plan
 from planner.searches.local import Found, Target, search_to, target_around
 from planner.searches.quick import QuickPath
 from planner.searches.request import Request, Result, first_nodes, no_first_step
@@ -39,7 +39,7 @@ _TARGET_CELLS = 2  # radius of what counts as having come to a sub-goal
 _WEIGHT = 2.0
 _EASY, _HARD = 1_000, 10_000  # expansions of a search between two states, at first and once more
 _MOST_STATES = 2_000
-_MOST_EXPANSIONS = 200_000
+_MOST_EXPANSIONS = 30_000
 _STRIP_M, _STRIP_EXPANSIONS = 0.6, 20_000
 
 
@@ -49,9 +49,11 @@ def plan_rstar(request: Request, options: PlannerOptions, began: float) -> Resul
     if not len(nodes):
         return no_first_step(request)
     run = Run(request, options, began)
-    sparse = _Sparse(request, nodes, costs_um, options, began).plan()
-    if sparse is not None:
-        run.take(sparse)
+    first = _Sparse(request, nodes, costs_um, options, began).plan()
+    if first is None:
+        first = quick_plan(request, nodes, costs_um, options)
+    if first is not None:
+        run.take(first)
         if options.stop_at_first or run.proven <= options.final_epsilon:
             return run.quick_result()
     return run.result(forward_task(request, nodes, costs_um))
