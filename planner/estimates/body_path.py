@@ -17,7 +17,9 @@ from planner.estimates.spread import (
     NOWHERE_UM,
     SHUT_CELL,
     Ahead,
+    ahead_of,
     ahead_um,
+    all_ahead_um,
     moves_of,
     spread_costs,
 )
@@ -52,35 +54,21 @@ class Strip(NamedTuple):
     def least_um(self, cells: Int64s) -> Int64s:
         """What a path from each cell (n,) costs at least."""
         cost_um = self.cost_um[cells].astype(np.int64) - 1
-        away_um = _all_ahead(self.ahead, self.cols, cells)
+        away_um = all_ahead_um(self.ahead, self.cols, cells)
         unsettled = (cost_um < 0) | (cost_um + away_um >= self.settled_um)
         return np.where(unsettled, np.maximum(self.settled_um - away_um, 0), cost_um)
 
 
 def path_toward(space: Space, guide: Potential, cells: Int64s) -> Strip:
     """Path costs from the goal in the strip of cells through which A* looks for the cells (n,)."""
-    middle_col = round(float(np.median(cells % space.cols)))
-    middle_row = round(float(np.median(cells // space.cols)))
-    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
-    ahead = Ahead(middle_col, middle_row, level_um, diagonal_um, knight_um, 0)
-    # By how much the straight way to one of the cells may be shorter than that to their middle.
-    ahead = ahead._replace(slack_um=int(_all_ahead(ahead, space.cols, cells).max()))
+    ahead = ahead_of(space, guide, cells)
     # What else is wanted lies at most twice the slack behind the first of it.
-    beyond_um = 2 * ahead.slack_um + _MARGIN_MOVES * level_um
+    beyond_um = 2 * ahead.slack_um + _MARGIN_MOVES * ahead.level_um
     cost_um = np.zeros(space.cols * space.rows, np.int32)
     seeds = np.array([space.origin_row * space.cols + space.origin_col]), np.array([0])
     moves = moves_of(guide)
     settled_um = spread_costs(space, cost_um, *seeds, moves, cells, beyond_um, EVERYWHERE, ahead)
     return Strip(cost_um, settled_um, space.cols, ahead)
-
-
-@njit(cache=True)
-def _all_ahead(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
-    """`ahead_um` of cells (n,)."""
-    values_um = np.empty(len(cells), np.int64)
-    for i in range(len(cells)):
-        values_um[i] = ahead_um(ahead, cells[i] % cols, cells[i] // cols)
-    return values_um
 
 
 @njit(cache=True)

@@ -65,6 +65,25 @@ def ahead_um(ahead: Ahead, col: int, row: int) -> int:
 
 
 @njit(cache=True)
+def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
+    """`ahead_um` of cells (n,)."""
+    values_um = np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        values_um[i] = ahead_um(ahead, cells[i] % cols, cells[i] // cols)
+    return values_um
+
+
+def ahead_of(space: Space, guide: Potential, cells: Int64s) -> Ahead:
+    """The straight way to the nearest of some cells (n,), or less."""
+    col = round(float(np.median(cells % space.cols)))
+    row = round(float(np.median(cells // space.cols)))
+    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
+    ahead = Ahead(col, row, level_um, diagonal_um, knight_um, 0)
+    # By how much the straight way to one of the cells may be shorter than that to their middle.
+    return ahead._replace(slack_um=int(all_ahead_um(ahead, space.cols, cells).max()))
+
+
+@njit(cache=True)
 def spread_costs(
     space: Space,
     cost_um: NDArray[np.int32],

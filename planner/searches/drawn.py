@@ -17,10 +17,10 @@ from planner.estimates.body_path import BodyPath, ring_on_map
 from planner.estimates.guide import Potential
 from planner.estimates.spread import (
     EVERYWHERE,
-    NOT_DRAWN,
     NOWHERE_UM,
     SHUT_CELL,
     Ahead,
+    ahead_of,
     ahead_um,
     moves_of,
     spread_costs,
@@ -75,26 +75,6 @@ def heuristic_on_the_way(toward: Toward, nodes: Int64s) -> Heuristic:
     if not len(cells) or not np.any(path.cost_um[wanted] > 0):
         path = draw_path(space, guide, goal, np.array([0]), wanted)
     return toward.heuristic_by(path)
-
-
-def ahead_of(space: Space, guide: Potential, cells: Int64s) -> Ahead:
-    """The straight way to the nearest of some cells (n,), or less."""
-    col, row = cells % space.cols, cells // space.cols
-    middle = round(float(np.median(col))), round(float(np.median(row)))
-    ahead = NOT_DRAWN._replace(col=middle[0], row=middle[1])
-    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
-    ahead = ahead._replace(level_um=level_um, diagonal_um=diagonal_um, knight_um=knight_um)
-    return ahead._replace(slack_um=_most_um(ahead, space.cols, cells))
-
-
-@njit(cache=True)
-def _most_um(ahead: Ahead, cols: int, cells: Int64s) -> int:
-    """Cost of the straight way from the farthest of some cells (n,)."""
-    most = 0
-    for cell in cells:
-        row = cell // cols
-        most = max(most, ahead_um(ahead, cell - row * cols, row))
-    return most
 
 
 @njit(cache=True)
