@@ -88,6 +88,7 @@ class Rows:
     proven: np.ndarray
     expansions: np.ndarray
     refused_s: np.ndarray
+    first_expansions: np.ndarray
     wrong: int
 
 
@@ -162,6 +163,7 @@ def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Argum
                 best.found and best.epsilon == 1.0,
                 best.expansions,
                 refused(grid, model, query, full),
+                first.expansions,
             )
         )
     table = np.array(columns, dtype=float).T
@@ -173,6 +175,7 @@ def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Argum
         proven=table[4] > 0,
         expansions=table[5],
         refused_s=table[6],
+        first_expansions=table[7],
         wrong=wrong,
     )
 
@@ -184,7 +187,9 @@ def row_of(name: str, rows: Rows) -> str:
         return f"{np.nanmedian(values) * unit:.1f} / {np.nanpercentile(values, 95) * unit:.1f}"
 
     return (
-        f"| {name} | {pair(rows.first_s, 1e3)} | {np.nanmedian(rows.first_ratio):.2f} "
+        f"| {name} | {pair(rows.first_s, 1e3)} "
+        f"| {np.median(rows.first_expansions):.0f} / {rows.first_expansions.max():.0f} "
+        f"| {np.nanmedian(rows.first_ratio):.2f} "
         f"| {pair(rows.best_s, 1e3)} ({int(rows.proven.sum())} of {len(rows.proven)}) "
         f"| {np.nanmedian(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} "
         f"| {pair(rows.refused_s, 1e3)} ({np.isfinite(rows.refused_s).sum()}) | {rows.wrong} |"
@@ -195,11 +200,11 @@ def main() -> None:
     """Runs the benchmark and prints its table."""
     arguments = tyro.cli(Arguments)
     print(
-        "| map | first plan, ms, median / p95 | its cost over optimum | to epsilon 1, ms, "
-        "median / p95 (proven) | optimum over best known | expansions | goal shut in, ms, median "
+        "| map | first plan, ms, median / p95 | its expansions, median / most | its cost over "
+        "optimum | to epsilon 1, ms, median / p95 (proven) | optimum over best known | expansions | goal shut in, ms, median "
         "/ p95 (of) | wrong plans |"
     )
-    print("|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|---|")
     for name, grid, queries in queries_by_map(arguments.folder, arguments.maps, arguments.count):
         print(row_of(name, run_map(grid, queries, arguments)), flush=True)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
