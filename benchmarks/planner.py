@@ -201,8 +201,8 @@ def main() -> None:
     arguments = tyro.cli(Arguments)
     print(
         "| map | first plan, ms, median / p95 | its expansions, median / most | its cost over "
-        "optimum | to epsilon 1, ms, median / p95 (proven) | optimum over best known | expansions | goal shut in, ms, median "
-        "/ p95 (of) | wrong plans |"
+        "optimum | to epsilon 1, ms, median / p95 (proven) | optimum over best known | expansions "
+        "| goal shut in, ms, median / p95 (of) | wrong plans |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for name, grid, queries in queries_by_map(arguments.folder, arguments.maps, arguments.count):
