@@ -9,6 +9,7 @@ from typing import Any
 
 from app.errors import ExitCode, InputError, as_bad_input
 from app.evaluate_options import EvaluateOptions
+from app.evaluation.beside import read_beside
 from app.evaluation.limits import measured_of
 from app.evaluation.parts import Bench, Kept, Part, Results, finite
 from app.evaluation.sections import SECTIONS
@@ -32,6 +33,7 @@ def run(options: EvaluateOptions) -> int:
     robot = find_robot(options.robot)
     with as_bad_input(PolicyError):
         policy = load_policy(robot, options.policy)
+    beside = read_beside(options.beside, robot.name, FORMAT) if options.beside else None
     make_folder(options.out, option="--out")
     bench = Bench(
         robot=robot,
@@ -49,6 +51,8 @@ def run(options: EvaluateOptions) -> int:
         raise
     stored = _store(options, bench, measured_of(bench, results))
     document = document_of(bench, parts, results, stored)
+    if beside is not None:
+        document["beside"] = beside
     # Here and not above: it takes a while to load, and a run that is cut off needs none of it.
     from app.evaluation.figures import write_figures
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.inputs import RobotName
-from app.options import FolderOption, OptionalFile, some_of, whole_number
+from app.options import FolderOption, OptionalFile, OptionalFolder, some_of, whole_number
 
 SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
 
@@ -43,6 +43,9 @@ class EvaluateOptions:
 
     workers: Annotated[int, whole_number(at_least=0)] = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
+
+    beside: OptionalFolder = None
+    """Report of another policy of the robot, to show beside this one, such as runs/other."""
 
     json: bool = False
     """Print evaluation.json on standard output, and nothing else there."""

@@ -14,12 +14,14 @@ from app.cli import main
 from app.evaluate_options import SECTION_NAMES, EvaluateOptions
 from app.evaluation import limits as evaluate_limits
 from app.evaluation import modes as evaluate_modes
-from app.evaluation.figures import FIGURES, plain_joint, write_figures
+from app.evaluation.beside import read_beside
+from app.evaluation.figures import FIGURES, write_figures
 from app.evaluation.limits import limits_from, measured_of, sole_errors_m
 from app.evaluation.modes import mode_row
 from app.evaluation.parts import Bench, finite
 from app.evaluation.sections import SECTIONS
-from app.evaluation.text import report, table
+from app.evaluation.table import plain_joint, table
+from app.evaluation.text import report
 from controller.assess import ModeResult
 from controller.follower import load_measured, measured_path
 from controller.policy import POLICY_FOLDER, load_policy
@@ -101,7 +103,7 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     assert document["long"]["walks"] == 1
     assert len(document["limits"]["map"]["kinds"]) == 3
     text = (tmp_path / "report.md").read_text()
-    for name in FIGURES:
+    for name in FIGURES.keys() - {"beside.png"}:
         assert f"]({name})" in text
         assert cv2.imread(str(tmp_path / name)) is not None
     # One walk does not tell 99 %: what is stored beside the weights stays as it is.
@@ -217,6 +219,40 @@ def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path, measured_resul
     assert "| 10 cm | joints, degrees ±3 | 100 | - | 100.0 %, 10.0 s | withstood |" in text
     assert "up to 10 cm, a foot margin of 1.3 cm" in text
     assert "Stored: own.measured.json." in text
+
+
+def test_another_policy_beside(tmp_path, capsys):
+    """The document of one evaluation, read into the report of another."""
+    parts = [part for section in SECTIONS.values() for part in section(bench())]
+    results = {"modes-forward": mode_row(made_up("forward"))}
+    other = evaluate.document_of(bench(), parts, results, None)
+    other["stairs"] = [stairs_row("up", 0.10, 0.5), stairs_row("down", 0.15, 0.25)]
+    other["modes"] = [{**other["modes"][0], "falls": 1}]
+    folder = tmp_path / "other"
+    folder.mkdir()
+    (folder / "evaluation.json").write_text(json.dumps(other))
+    mine = evaluate.document_of(bench(), parts, results, None)
+    mine["stairs"] = [stairs_row("up", 0.10, 1.0)]
+    mine["beside"] = read_beside(folder, "jvrc1", evaluate.FORMAT)
+    text = report(mine)
+    assert "| forward | 0 of 1 | 1 of 1 | 2.0 / 4.7 cm | 2.0 / 4.7 cm |" in text
+    assert "| 10 cm up | 100.0 % of 100 | 50.0 % of 100 |" in text
+    assert "15 cm down" not in text
+    assert "--reward precise" in text
+    write_figures({"beside": mine["beside"], "modes": mine["modes"]}, tmp_path)
+    assert "](beside.png)" in text
+    assert cv2.imread(str(tmp_path / "beside.png")) is not None
+    words = [*WORDS, "--out", str(tmp_path / "out"), "--beside"]
+    assert main([*words, str(tmp_path)]) == 2
+    assert "cannot be read (No such file" in capsys.readouterr().err
+    assert main([*words, str(folder), "--robot", "hrp5p"]) == 2
+    assert "is of jvrc1, not of hrp5p" in capsys.readouterr().err
+    (folder / "evaluation.json").write_text(json.dumps(other | {"modes": []}))
+    assert main([*words, str(folder)]) == 2
+    assert "has no modes; measure it" in capsys.readouterr().err
+    (folder / "evaluation.json").write_text("{}")
+    assert main([*words, str(folder)]) == 2
+    assert f"is not an evaluation of format {evaluate.FORMAT}" in capsys.readouterr().err
 
 
 def test_sections_are_chosen_by_name(capsys, tmp_path):

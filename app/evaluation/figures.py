@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from app.evaluation.beside_figure import draw_beside
 from app.evaluation.limits_figure import draw_limits
 from app.evaluation.paper import JOINT_NOISE_WITHSTOOD_DEG, TITLE, TREAD_NOISE_WITHSTOOD_M
+from app.evaluation.table import plain_joint
 from app.output import replacing
 
 LEFT, RIGHT, GREY = "#1f77b4", "#d62728", "#8a8f98"
@@ -134,17 +135,6 @@ def draw_loads(document: Document) -> Figure:
     return figure
 
 
-def plain_joint(name: str) -> str:
-    """A left joint's name in words: L_HIP_P, left_hip_pitch_joint and LCP all give hip pitch."""
-    bare = re.sub(r"^(left|l)_?|_joint$", "", name.lower())
-    bare = re.sub(r"^([cka])([ypr])$", r"\1_\2", bare)
-    words = [_JOINT_WORDS.get(word, word) for word in bare.split("_")]
-    return "knee" if words[0] == "knee" else " ".join(words)
-
-
-_JOINT_WORDS = {"c": "hip", "k": "knee", "a": "ankle", "y": "yaw", "p": "pitch", "r": "roll"}
-
-
 def draw_forces(document: Document) -> Figure:
     """Vertical ground force of both feet over a gait cycle, in robot weights."""
     gait = document["gait"]
@@ -233,4 +223,5 @@ FIGURES: Mapping[str, tuple[str, Callable[[Document], Figure]]] = {
     "push.png": ("push", draw_push),
     "energy.png": ("energy", draw_energy),
     "limits.png": ("limits", draw_limits),
+    "beside.png": ("beside", draw_beside),
 }

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
-from app.evaluation.figures import plain_joint
+from app.evaluation import beside
 from app.evaluation.paper import (
     HIT_RADIUS_M,
     JOINT_NOISE_WITHSTOOD_DEG,
     TITLE,
     TREAD_NOISE_WITHSTOOD_M,
 )
+from app.evaluation.table import cell, pair, plain_joint, table
 from controller.measure_gait import asymmetry
 
 Document = Mapping[str, Any]
@@ -36,23 +37,6 @@ def report(document: Document) -> str:
     return "\n".join(lines)
 
 
-def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
-
-
-def cell(value: float | None, form: str = "{:.1f}", scale: float = 1.0) -> str:
-    """A number as it stands in a table."""
-    return "-" if value is None else form.format(scale * value)
-
-
-def _pair(row: Document, first: str, second: str, scale: float = 100.0, unit: str = " cm") -> str:
-    if row[first] is None:
-        return "-"
-    return f"{scale * row[first]:.1f} / {scale * row[second]:.1f}{unit}"
-
-
 def _modes(document: Document) -> list[str]:
     rows = [
         (
@@ -60,11 +44,11 @@ def _modes(document: Document) -> list[str]:
             str(row["episodes"]),
             str(row["falls"]),
             str(row["landings"]),
-            _pair(row, "error_m_median", "error_m_p95"),
+            pair(row, "error_m_median", "error_m_p95"),
             cell(row["error_m_p99"], "{:.1f} cm", 100),
-            _pair(row, "along_m_median", "along_m_p95"),
-            _pair(row, "across_m_median", "across_m_p95"),
-            _pair(row, "heading_deg_median", "heading_deg_p95", 1.0, "°"),
+            pair(row, "along_m_median", "along_m_p95"),
+            pair(row, "across_m_median", "across_m_p95"),
+            pair(row, "heading_deg_median", "heading_deg_p95", 1.0, "°"),
         )
         for row in document["modes"]
     ]
@@ -305,4 +289,5 @@ _SECTIONS: Mapping[str, Callable[[Document], list[str]]] = {
     "energy": _energy,
     "long": _long,
     "limits": _limits,
+    "beside": beside.told,
 }
