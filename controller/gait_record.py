@@ -24,7 +24,8 @@ class WalkRecord:
     torque_nm, joint_speed_rad_s (B, N, J): of the servos and of the joints they turn.
     ground_force_n (B, N, 2): vertical force on each foot, left then right.
     indicator (B, T, 2), cycle_tick (B, T): as in `controller.walks.Tick`.
-    pelvis_xy_world (B, T, 2); upright (B,): did not fall.
+    pelvis_xy_world (B, T, 2); pelvis_height_m (B, T): above the lower sole.
+    sole_height_m (B, T, 2): above the floor; upright (B,): did not fall.
     """
 
     timestep_s: float
@@ -34,6 +35,8 @@ class WalkRecord:
     indicator: np.ndarray
     cycle_tick: np.ndarray
     pelvis_xy_world: np.ndarray
+    pelvis_height_m: np.ndarray
+    sole_height_m: np.ndarray
     upright: np.ndarray
 
     @property
@@ -60,7 +63,9 @@ class WalkRecord:
 
 
 _PER_PHYSICS_STEP = ("torque_nm", "joint_speed_rad_s", "ground_force_n")
-_PER_CONTROL_STEP = ("indicator", "cycle_tick", "pelvis_xy_world")
+_PER_CONTROL_STEP = (
+    *("indicator", "cycle_tick", "pelvis_xy_world", "pelvis_height_m", "sole_height_m"),
+)
 _PER_ROBOT = (*_PER_PHYSICS_STEP, *_PER_CONTROL_STEP, "upright")
 
 
@@ -89,17 +94,19 @@ def record_walk(
 
     walker = set_off(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
-    torque, speed, force, indicator, cycle_tick, pelvis = [], [], [], [], [], []
+    torque, speed, force, indicator, cycle_tick, pelvis, soles = [], [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
     for tick in walk(walker, policy, round(seconds / CONTROL_PERIOD_S)):
         read = walker.sim.sensors
         torque.append(read[:, :, sensors.joint_torque])
         force.append(read[:, :, sensors.ground_force_world[:, 2]])
         speed.append(walker.sim.recorded["qvel"][:, :, joints])
-        pelvis.append(read[:, -1, sensors.pelvis_pos_world[:2]])
+        pelvis.append(read[:, -1, sensors.pelvis_pos_world])
+        soles.append(read[:, -1, sensors.sole_pos_world[:, 2]])
         indicator.append(tick.indicator)
         cycle_tick.append(tick.cycle_tick)
         upright = tick.upright
+    pelvis_world, sole_height_m = np.stack(pelvis, axis=1), np.stack(soles, axis=1)
     return WalkRecord(
         timestep_s=float(walker.scene.model.opt.timestep),
         torque_nm=np.concatenate(torque, axis=1),
@@ -107,7 +114,9 @@ def record_walk(
         ground_force_n=np.concatenate(force, axis=1),
         indicator=np.stack(indicator, axis=1),
         cycle_tick=np.stack(cycle_tick, axis=1),
-        pelvis_xy_world=np.stack(pelvis, axis=1),
+        pelvis_xy_world=pelvis_world[..., :2],
+        pelvis_height_m=pelvis_world[..., 2] - sole_height_m.min(axis=2),
+        sole_height_m=sole_height_m,
         upright=upright,
     )
 

@@ -1,4 +1,4 @@
-"""What a recorded walk says of a gait: loads, symmetry, ground forces, contact, cost of transport.
+"""What a recorded walk says of a gait: loads, symmetry, ground forces, posture, transport cost.
 
 Pure functions of a `WalkRecord`; robots that fell are to be left out before (`of_upright`).
 """
@@ -137,6 +137,21 @@ def swing_lags(record: WalkRecord, mass_kg: float, ticks: GaitTicks) -> tuple[fl
 
 def _median_s(steps: list[int], timestep_s: float) -> float:
     return float(np.median(steps)) * timestep_s if steps else np.nan
+
+
+def posture(record: WalkRecord) -> dict[str, float]:
+    """How upright the robot walks and how high it lifts its feet.
+
+    `pelvis_m_median` and `_lowest`: the pelvis above the lower sole; `foot_lift_m_median` and
+    `_highest`: of the highest that each foot was above the floor in each walk.
+    """
+    lift_m = record.sole_height_m.max(axis=1)
+    return {
+        "pelvis_m_median": float(np.median(record.pelvis_height_m)),
+        "pelvis_m_lowest": float(record.pelvis_height_m.min()),
+        "foot_lift_m_median": float(np.median(lift_m)),
+        "foot_lift_m_highest": float(lift_m.max()),
+    }
 
 
 def mechanical_work_j(record: WalkRecord) -> np.ndarray:

@@ -95,6 +95,9 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     assert set(SECTION_NAMES) < set(document)
     assert [row["way"] for row in document["stairs"][:2]] == ["up", "down"]
     assert len(document["gait"]["joints"]) == 12
+    posture = document["gait"]["posture"]
+    assert 0.5 < posture["pelvis_m_lowest"] < posture["pelvis_m_standing"] < 1.0
+    assert 0.03 < posture["foot_lift_m_median"] <= posture["foot_lift_m_highest"] < 0.4
     assert max(document["gait"]["force_peak"]) > 0.9
     assert document["gait"]["contact_agreement"] > 0.9
     assert len(document["push"]) == 4

@@ -19,6 +19,7 @@ from controller.measure_gait import (
     mechanical_work_j,
     over_cycle,
     peak_weights,
+    posture,
     swing_lags,
 )
 from controller.push import DIRECTIONS, Push
@@ -40,6 +41,8 @@ def record(ticks: int, substeps: int = 5, robots: int = 1, **arrays: np.ndarray)
         "indicator": np.zeros((robots, ticks, 2)),
         "cycle_tick": np.full((robots, ticks), -1),
         "pelvis_xy_world": np.zeros((robots, ticks, 2)),
+        "pelvis_height_m": np.zeros((robots, ticks)),
+        "sole_height_m": np.zeros((robots, ticks, 2)),
         "upright": np.ones(robots, dtype=bool),
     }
     return WalkRecord(timestep_s=0.001, **(values | arrays))
@@ -58,6 +61,19 @@ def test_peaks_are_of_either_sign_and_over_all_robots():
     assert first["peak_speed_rad_s"] == 2.0
     assert first["torque_limit_nm"] == ROBOT.joints[0].torque_limit_nm
     assert second["peak_torque_nm"] == second["rms_speed_rad_s"] == 0.0
+
+
+def test_posture_by_hand():
+    pelvis, soles = np.full((2, 4), 0.8), np.zeros((2, 4, 2))
+    pelvis[1, 2] = 0.6
+    soles[0, 1, 0], soles[0, 2, 0], soles[1, 3, 1] = 0.05, 0.09, 0.2
+    # The highest of each foot in each walk: 9 and 0 cm, 0 and 20 cm.
+    assert posture(record(4, 1, 2, pelvis_height_m=pelvis, sole_height_m=soles)) == {
+        "pelvis_m_median": 0.8,
+        "pelvis_m_lowest": 0.6,
+        "foot_lift_m_median": pytest.approx(0.045),
+        "foot_lift_m_highest": 0.2,
+    }
 
 
 def test_asymmetry_by_hand():

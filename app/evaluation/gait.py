@@ -20,6 +20,7 @@ from controller.measure_gait import (
     mechanical_work_j,
     over_cycle,
     peak_weights,
+    posture,
     swing_lags,
 )
 from controller.push import DIRECTIONS, WALK_S, push_recovery
@@ -56,12 +57,14 @@ def gait_parts(bench: Bench) -> list[Part]:
         weights = steady.ground_force_n / (robot.mass_kg * 9.81)
         contact = in_contact(steady, robot.mass_kg).astype(float)
         asked = np.repeat(steady.indicator, steady.substeps, axis=1)
+        standing_m = robot.pelvis_height_m
         lift_s, touch_s = swing_lags(steady, robot.mass_kg, ticks)
         curves = {"force": weights, "contact": contact, "indicator": asked}
         cycles = {k: over_cycle(steady, v, ticks, bins=CYCLE_BINS) for k, v in curves.items()}
         return {
             **head,
             "joints": joint_loads(whole, robot),
+            "posture": posture(steady) | {"pelvis_m_standing": standing_m},
             "cycle_time_s": cycles["force"].time_s.tolist(),
             **{f"{k}_mean": cycle.mean.T.tolist() for k, cycle in cycles.items()},
             "force_low": cycles["force"].low.T.tolist(),

@@ -20,7 +20,7 @@ from app.output import make_folder, to_json, write_text
 from controller.policy import Policy
 from sim.robot import Robot
 
-FORMAT = "evaluation-part/1"
+FORMAT = "evaluation-part/2"
 Results = dict[str, dict[str, Any]]
 
 

@@ -152,6 +152,11 @@ def _gait(document: Document) -> list[str]:
         "",
         "![Peak loads as shares of their limits](loads.png)",
         "",
+        "The pelvis is {pelvis_m_median:.2f} m above the lower sole (median; at least "
+        "{pelvis_m_lowest:.2f} m; standing {pelvis_m_standing:.2f} m). Feet are lifted by "
+        "{foot_lift_m_median:.2f} m (the highest of each foot in each walk: median; at most "
+        "{foot_lift_m_highest:.2f} m).".format(**gait["posture"]),
+        "",
         f"The vertical force under a foot peaks at {max(gait['force_peak']):.2f} times the weight "
         "(left {:.2f}, right {:.2f}).".format(*gait["force_peak"]),
         "",
