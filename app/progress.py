@@ -16,10 +16,13 @@ LINE_EVERY_S = 5.0
 class ProgressBar:
     """Shows how far a piece of work is; a context manager.
 
+    Without a total nobody knows how long it takes: a bar that moves on its own, and the time.
     Standard output is never touched: it belongs to results.
     """
 
-    def __init__(self, title: str, total: float, *, line_every_s: float = LINE_EVERY_S) -> None:
+    def __init__(
+        self, title: str, total: float | None, *, line_every_s: float = LINE_EVERY_S
+    ) -> None:
         self._title = title
         self._total = total
         self._line_every_s = line_every_s
@@ -34,12 +37,14 @@ class ProgressBar:
             self._bar = Progress(
                 TextColumn("{task.description}"),
                 BarColumn(),
-                TextColumn("{task.completed:g}/{task.total:g} {task.fields[note]}"),
+                TextColumn("{task.fields[amount]} {task.fields[note]}"),
                 TimeElapsedColumn(),
                 console=console,
                 transient=True,
             )
-            self._task = self._bar.add_task(self._title, total=self._total, note="")
+            self._task = self._bar.add_task(
+                self._title, total=self._total, amount=self._amount(0), note=""
+            )
             self._bar.start()
         return self
 
@@ -56,10 +61,13 @@ class ProgressBar:
     def update(self, done: float, note: str = "") -> None:
         """Tells how much of the total is done, with a short remark."""
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, note=note)
+            self._bar.update(self._task, completed=done, amount=self._amount(done), note=note)
         elif time.monotonic() >= self._line_at_s:
             self._line_at_s = time.monotonic() + self._line_every_s
-            say(f"{self._title}: {done:g}/{self._total:g} {note}".rstrip())
+            say(" ".join(filter(None, (f"{self._title}:", self._amount(done), note))))
+
+    def _amount(self, done: float) -> str:
+        return "" if self._total is None else f"{done:g}/{self._total:g}"
 
 
 def say(line: str) -> None:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import time
+
 from app.errors import InputError, as_bad_input
 from app.inputs import find_follower, read_grid
 from app.page.offers import place_to_stand
-from app.page.page import Page
-from app.page.server import open_server
+from app.page.opening import load_robot, opened
 from app.page.session import Session
-from app.page.view import load_robot
-from app.progress import say
+from app.progress import ProgressBar, say
 from app.serve_options import ServeOptions
 from controller.policy import Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from sim.robot import Robot
-from sim.robots import robot_names
+
+# What was compiled before is loaded in less.
+_LOADED_AFTER_S = 6.0
+_COMPILES = "which is compiled after a change of its code, for half a minute"
 
 
 def run(options: ServeOptions) -> int:
@@ -37,26 +40,32 @@ def run(options: ServeOptions) -> int:
         unknown_is_free=options.unknown_is_free,
         seed=options.seed,
     )
-    server = open_server(host=options.host, port=options.port, title=f"Footfall: {options.map}")
-    session = Session(
-        grid, robot, policy, start=options.start, options=plan_options, seed=options.seed
-    )
-    try:
-        page = Page(
-            server,
-            session,
-            robot,
-            robots=robot_names(),
-            load=load,
-            options=plan_options,
-        )
-        session.start()
-        say(f"open {server.url} in a browser; Ctrl-C ends it")
+    with opened(
+        grid,
+        robot,
+        policy,
+        title=f"Footfall: {options.map}",
+        host=options.host,
+        port=options.port,
+        start=options.start,
+        options=plan_options,
+        seed=options.seed,
+        load=load,
+    ) as page:
+        _load_planner(page.session)
+        page.session.start()
+        say(f"open {page.server.url} in a browser; Ctrl-C ends it")
         page.run()
-    finally:
-        session.close()
-        server.stop()
     return 0
+
+
+def _load_planner(session: Session) -> None:
+    """Returns when the first click would be answered as soon as any."""
+    began_s = time.monotonic()
+    with ProgressBar("loading the planner", None) as bar:
+        while not session.is_ready(wait_s=0.2):
+            waited_s = time.monotonic() - began_s
+            bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:

@@ -13,7 +13,6 @@ read from /proc (Linux).
 from __future__ import annotations
 
 import argparse
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,12 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from app.inputs import MapOptions, read_grid
-from app.page.page import Page
-from app.page.server import open_server
+from app.page.opening import drawn, load_robot, opened
 from app.page.session import Session
-from app.page.view import load_robot
 from benchmarks.page_watcher import Watcher
-from planner.options import PlannerOptions
 
 PATIENCE_S = 300.0
 ABOVE_M = 5.0
@@ -45,25 +41,14 @@ def main() -> None:
     options = parser.parse_args()
     grid = read_grid(MapOptions(map=options.map))
     robot, policy = load_robot("jvrc1")
-    server = open_server(title="clicks")
-    session = Session(grid, robot, policy)
-    page = Page(
-        server,
-        session,
-        robot,
-        robots=(robot.name,),
-        load=lambda _name: (robot, policy),
-        options=PlannerOptions(),
-    )
-    ends = threading.Event()
-    painter = threading.Thread(target=lambda: page.run(ends.is_set))
-    watcher = Watcher(server.url)
+    rows: list[tuple[float, ...]] = []
     rng = np.random.default_rng(options.seed)
     x0, y0, x1, y1 = grid.bounds_world()
-    rows: list[tuple[float, ...]] = []
-    try:
+    with opened(grid, robot, policy, title="clicks") as page, drawn(page):
+        session, watcher = page.session, Watcher(page.server.url)
+        # As `serve` does before it says that its page is up.
+        wait(lambda: session.is_ready(wait_s=1.0))
         session.start()
-        painter.start()
         wait(lambda: page.visitors == 1)
         print(HEADER)
         while len(rows) < options.goals:
@@ -72,13 +57,7 @@ def main() -> None:
             if row is not None:
                 rows.append(row)
                 print_row(f"{x_m:6.2f},{y_m:6.2f}", row)
-    finally:
-        ends.set()
-        if painter.is_alive():
-            painter.join()
         watcher.close()
-        session.close()
-        server.stop()
     print_row("median", tuple(np.median(rows, axis=0)))
     print_row("worst", tuple(np.max(rows, axis=0)))
 

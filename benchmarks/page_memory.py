@@ -1,10 +1,14 @@
-"""Whether a page that is left open grows: memory of a served robot over thousands of updates.
+"""Whether a page that is left open grows: memory of a served robot over hours of walking.
 
     python -m benchmarks.page_memory [--rounds 60] [--updates 2000]
+    python -m benchmarks.page_memory --minutes 60
 
-Several pages watch one robot that walks as fast as it goes. In each round it gets a goal, a box is
-put down and taken away on its way, so that it plans anew, a page opens and another one vanishes
-without a word, and the scene is drawn --updates times (2,000 are a minute at 30 frames a second).
+Several pages watch one robot. In each round it gets a goal, a box is put down and taken away on
+its way, so that it plans anew, and a page opens and another one vanishes without a word. The robot
+walks as fast as it goes and the scene is drawn --updates times a round (2,000 are a minute at 30
+frames a second); with --minutes it walks in real time instead, drawn as `serve` draws it, for so
+long.
+
 Prints what is held after every few rounds, how many messages there ever were, and the processor
 time that the opening of a page takes: the median of a few, all threads of the server and of the
 page that opens. Needs no browser; memory is read from /proc (Linux).
@@ -19,20 +23,24 @@ import statistics
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from app.inputs import MapOptions, read_grid
+from app.page.opening import drawn, load_robot, opened
 from app.page.page import Page
-from app.page.server import PageServer, open_server
-from app.page.session import Session
-from app.page.view import load_robot
 from benchmarks.page_watcher import Watcher
-from planner.options import PlannerOptions
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
 PATIENCE_S = 300.0
 ROWS = 12
 OPENINGS = 5
+# A robot that stands is simulated for two seconds, and drawn; then it is measured.
+REST_S = 2.5
+HEADER = (
+    "minute  round  frames  replans  server MB  planner MB  messages  ever were  nodes  threads"
+    "  pages  opening ms"
+)
 
 
 def main() -> None:
@@ -42,96 +50,145 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=60)
     parser.add_argument("--updates", type=int, default=2000)
     parser.add_argument("--watchers", type=int, default=3)
+    parser.add_argument("--minutes", type=float, help="walk in real time for so long")
     options = parser.parse_args()
+    grid = read_grid(MapOptions(map=options.map))
     robot, policy = load_robot("jvrc1")
-    server = open_server(title="memory")
-    session = Session(read_grid(MapOptions(map=options.map)), robot, policy)
-    session.pace.factor = math.inf
-    page = Page(
-        server,
-        session,
-        robot,
-        robots=(robot.name,),
-        load=lambda _name: (robot, policy),
-        options=PlannerOptions(),
-    )
-    # Words and plots at each frame, not four times a second: an hour of them, too.
-    page.text_every_s = page.plot_every_s = 0.0
-    session.start()
-    watchers = [Watcher(server.url) for _ in range(options.watchers)]
-    print(
-        "round  drawn   replans  server MB  planner MB  messages  ever were  nodes  threads  pages"
-        "  opening ms"
-    )
-    drawn = replans = 0
-    try:
-        for number in range(options.rounds + 1):
-            if number % max(1, options.rounds // ROWS) == 0:
-                report(number, drawn, replans, server, session, page)
-            passing = Watcher(server.url)
-            drawn += options.updates
-            replans += walk(session, page, number, options.updates)
+    with ExitStack() as stack:
+        page = stack.enter_context(opened(grid, robot, policy, title="memory"))
+        if options.minutes is None:
+            walks: Walks = HurriedWalks(page, options.updates)
+        else:
+            walks = RealWalks(page)
+            stack.enter_context(drawn(page))
+        page.session.start()
+        for _ in range(options.watchers):
+            stack.callback(Watcher(page.server.url).close)
+        print(HEADER, flush=True)
+        rows, number = 0, 0
+        while True:
+            done = number / max(1, options.rounds)
+            if options.minutes is not None:
+                done = walks.minutes / options.minutes
+            if done * ROWS >= rows:
+                rows += 1
+                walks.rest()
+                report(number, walks)
+            if done >= 1.0:
+                return
+            passing = Watcher(page.server.url)
+            walks.walk(number)
             passing.vanish()
-    finally:
-        for watcher in watchers:
-            watcher.close()
-        session.close()
-        server.stop()
+            number += 1
 
 
-def walk(session: Session, page: Page, number: int, updates: int) -> int:
-    """One round; returns how often the robot planned anew."""
-    wait(page, lambda: session.snapshot.status in ("standing", "reached"))
-    before = session.snapshot.walk
-    session.go_to(GOALS[number % 2])
-    wait(page, lambda: session.snapshot.walk > before and len(session.snapshot.placed_side) > 0)
-    page.toybox.add((-1.0, -1.0), (0.2, 0.2))
-    wait(page, lambda: session.snapshot.replans > 0 or session.snapshot.status != "walking")
-    page.toybox.clear()
-    for _ in range(updates):
-        page.show(session.snapshot)
-    wait(page, lambda: session.snapshot.status != "walking")
-    ended = session.snapshot
-    if ended.status != "reached":
-        session.reset()
-        wait(page, lambda: session.snapshot.walk > ended.walk)
-    return ended.replans
+class Walks:
+    """Walks to and fro on a page, round by round; counts the minutes, frames and new plans."""
+
+    def __init__(self, page: Page) -> None:
+        self.page = page
+        self.frames = self.replans = 0
+        self._began_s = time.monotonic()
+        # Every drawing counts, whichever thread does it.
+        self._show, page.show = page.show, self._count  # type: ignore[method-assign]
+
+    @property
+    def minutes(self) -> float:
+        """On the wall, since the beginning."""
+        return (time.monotonic() - self._began_s) / 60
+
+    def _count(self, *args: object) -> None:
+        self._show(*args)  # type: ignore[arg-type]
+        self.frames += 1
+
+    def walk(self, number: int) -> None:
+        """One round: a goal, a box on the way there, and on."""
+        page, session = self.page, self.page.session
+        self.wait(lambda: session.snapshot.status in ("standing", "reached"))
+        before = session.snapshot.walk
+        session.go_to(GOALS[number % 2])
+        self.wait(lambda: session.snapshot.walk > before and len(session.snapshot.placed_side) > 0)
+        page.toybox.add((-1.0, -1.0), (0.2, 0.2))
+        self.wait(lambda: session.snapshot.replans > 0 or session.snapshot.status != "walking")
+        page.toybox.clear()
+        self.draw_much()
+        self.wait(lambda: session.snapshot.status != "walking")
+        ended = session.snapshot
+        if ended.status != "reached":
+            session.reset()
+            self.wait(lambda: session.snapshot.walk > ended.walk)
+        self.replans += ended.replans
+
+    def wait(self, wanted: Callable[[], bool]) -> None:
+        """Lets time pass until something is so."""
+        until_s = time.monotonic() + PATIENCE_S
+        while not wanted():
+            if time.monotonic() > until_s:
+                snapshot = self.page.session.snapshot
+                raise TimeoutError(f"the robot is {snapshot.status}, {snapshot.notice}")
+            self.pass_time()
+
+    def pass_time(self) -> None:
+        """What happens while something is waited for."""
+        time.sleep(0.05)
+
+    def draw_much(self) -> None:
+        """What is drawn in each round besides."""
+
+    def rest(self) -> None:
+        """Returns when the robot rests and nothing is drawn."""
 
 
-def wait(page: Page, wanted: Callable[[], bool]) -> None:
-    """Draws until something is so."""
-    until_s = time.monotonic() + PATIENCE_S
-    while not wanted():
-        if time.monotonic() > until_s:
-            snapshot = page.session.snapshot
-            raise TimeoutError(f"the robot is {snapshot.status}, {snapshot.notice}")
-        page.show(page.session.snapshot)
+class HurriedWalks(Walks):
+    """As fast as the robot goes, with all that `serve` draws now and then drawn at each frame."""
+
+    def __init__(self, page: Page, updates: int) -> None:
+        super().__init__(page)
+        self._updates = updates
+        page.text_every_s = page.plot_every_s = 0.0
+        page.session.pace.factor = math.inf
+
+    def pass_time(self) -> None:
+        """Draws, and waits a little."""
+        self.page.show(self.page.session.snapshot)
         time.sleep(0.005)
 
+    def draw_much(self) -> None:
+        """The updates of the round."""
+        for _ in range(self._updates):
+            self.page.show(self.page.session.snapshot)
 
-def report(
-    number: int, drawn: int, replans: int, server: PageServer, session: Session, page: Page
-) -> None:
+
+class RealWalks(Walks):
+    """In real time, drawn by somebody else."""
+
+    def rest(self) -> None:
+        """Until the robot is no longer simulated."""
+        time.sleep(REST_S)
+
+
+def report(number: int, walks: Walks) -> None:
     """Prints a row of what is held."""
+    page = walks.page
     gc.collect()
-    opening_ms = 1000 * statistics.median(opening_s(server) for _ in range(OPENINGS))
-    buffer = server._websock_server._broadcast_buffer
-    nodes = len(server.scene._handle_from_node_name)
-    planner = session.planner_pid
+    opening_ms = 1000 * statistics.median(opening_s(page) for _ in range(OPENINGS))
+    buffer = page.server._websock_server._broadcast_buffer
+    nodes = len(page.server.scene._handle_from_node_name)
+    planner = page.session.planner_pid
     planner_mb = 0.0 if planner is None else megabytes(str(planner))
     print(
-        f"{number:5d} {drawn:6d} {replans:9d} {megabytes('self'):10.1f} "
-        f"{planner_mb:11.1f} {len(buffer.message_from_id):9d} "
+        f"{walks.minutes:6.1f} {number:6d} {walks.frames:7d} {walks.replans:8d} "
+        f"{megabytes('self'):10.1f} {planner_mb:11.1f} {len(buffer.message_from_id):9d} "
         f"{buffer.message_counter:10d} {nodes:6d} {threading.active_count():8d} "
         f"{page.visitors:6d} {opening_ms:11.0f}",
         flush=True,
     )
 
 
-def opening_s(server: PageServer) -> float:
+def opening_s(page: Page) -> float:
     """Processor time until one more page has all that is to be seen, while nothing is drawn."""
     began_s = time.process_time()
-    watcher = Watcher(server.url)
+    watcher = Watcher(page.server.url)
     until_s = time.monotonic() + PATIENCE_S
     while not watcher.heard["ReplayDoneMessage"]:
         if time.monotonic() > until_s:

@@ -43,9 +43,12 @@ def main() -> None:
     server = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     assert server.stderr is not None
     try:
-        found = re.search(r"http://\S+", server.stderr.readline())
-        if found is None:
-            raise RuntimeError("the page is not served")
+        told = ""
+        while not (found := re.search(r"http://\S+", told)):
+            line = server.stderr.readline()
+            if not line:
+                raise RuntimeError(f"the page is not served: {told}")
+            told += line
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(
                 executable_path=shutil.which("chromium"), args=ARGUMENTS

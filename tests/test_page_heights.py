@@ -11,8 +11,10 @@ import viser
 
 from app.page.boxes import Obstacle
 from app.page.floor import add_floor
-from app.page.prints import Marker, Prints
+from app.page.prints import Prints
 from app.page.server import open_server
+from app.page.signs import Marker
+from app.page.surface import surface_of
 from app.page.toybox import Toybox
 from maps.reader import load_map
 from planner.model import FootShape, Side
@@ -64,7 +66,7 @@ def test_footprints_path_and_goal_lie_on_the_ground(scene):
     prints.path(np.array([[1.8, 0.0], [1.95, 0.0], [2.1, 0.0], [2.25, 0.0]]))
     path = shown(scene, "/path")[:12].reshape(3, 4, 3)
     assert path[:, :, 2].max(axis=1) == pytest.approx([0.0, 0.1, 0.1], abs=0.02)
-    marker = Marker(scene, STAIRS, "/goal")
+    marker = Marker(scene, "/goal", height_m=surface_of(STAIRS).height_m)
     for goal, ground_m in (((4.1, 0.0, 0.0), 0.6), ((0.0, 0.0, 1.0), 0.0)):
         marker.show(goal)
         assert marker._arrow.position[2] == pytest.approx(ground_m, abs=0.05)

@@ -143,7 +143,7 @@ def test_the_button_that_is_pressed_is_marked_and_means_the_same():
     [("-1.95,0,0", "the nearest free pose is -"), ("9,0,0", "is off the map")],
 )
 def test_serve_refuses_a_start_where_nobody_can_stand(start, words, capsys, monkeypatch):
-    monkeypatch.setattr("app.serve.open_server", pytest.fail)
+    monkeypatch.setattr("app.serve.opened", pytest.fail)
     assert main(["serve", "--map", "maps/room.png", "--start", start]) == ExitCode.BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert f"--start {start}" in line

@@ -97,20 +97,20 @@ def test_a_box_in_the_way_is_walked_around(session):
     after = wait_for(session, lambda now: now.replans >= 1 and now.plan is not before)
     near = np.abs(after.plan.pose_world[:, :2] - (1.9, 0.0)).max(axis=1)
     assert near.min() > 0.2
-    assert session._rover.scene.model.body("walls").geomnum == 1
+    assert session._guide.rover.scene.model.body("walls").geomnum == 1
 
 
 def test_a_box_that_comes_while_a_walk_is_improved_begins_no_new_walk():
     session = Session(HALL, ROBOT, POLICY)
     try:
-        session._ask(AHEAD, fresh=True)
-        assert session._question is not None
-        session._plan_anew()
-        assert session._question.fresh
+        session._guide.ask(AHEAD, fresh=True)
+        assert session._guide.question is not None
+        session._guide.plan_anew()
+        assert session._guide.question.fresh
         # Its first plan is walked already, the better one is still being thought of.
-        session._followed_number = session._question.number
-        session._plan_anew()
-        assert not session._question.fresh
+        session._guide._followed_number = session._guide.question.number
+        session._guide.plan_anew()
+        assert not session._guide.question.fresh
     finally:
         session.close()
 
@@ -222,7 +222,7 @@ def test_with_a_goal_it_walks_as_navigate_does(name):
     while walk.outcome is None:
         walk.tick()
     session = Session(HALL, ROBOT, POLICY, goal=AHEAD, seed=3, options=options)
-    assert isinstance(session._rover._planner, PatientPlanner) == (name == "rrtconnect")
+    assert isinstance(session._guide.rover._planner, PatientPlanner) == (name == "rrtconnect")
     session.pace.factor = math.inf
     session.start()
     try:

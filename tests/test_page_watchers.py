@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -13,14 +13,12 @@ import numpy as np
 import pytest
 
 from app.page.camera import overview
+from app.page.opening import drawn, opened
 from app.page.page import Page
-from app.page.server import PageServer, open_server
-from app.page.session import Session
 from app.page.snapshot import Notice, Snapshot
 from benchmarks.page_watcher import Watcher
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid
-from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
 from sim.robots import get_robot
 
@@ -31,34 +29,21 @@ PATIENCE_S = 300.0
 
 
 class Served:
-    """A page that is served; `is_shown` says whether a thread draws what happens."""
+    """A page that is served; after `live` its robot lives and a thread draws what happens."""
 
     def __init__(self) -> None:
-        self.server: PageServer = open_server(title="test")
-        self.session = Session(HALL, ROBOT, POLICY)
+        self._stack = contextlib.ExitStack()
+        self.page = self._stack.enter_context(opened(HALL, ROBOT, POLICY, title="test"))
+        self.server, self.session = self.page.server, self.page.session
         self.session.pace.factor = math.inf
-        self.page = Page(
-            self.server,
-            self.session,
-            ROBOT,
-            robots=(ROBOT.name,),
-            load=lambda name: (ROBOT, POLICY),
-            options=PlannerOptions(),
-        )
-        self._ends = threading.Event()
-        self._painter = threading.Thread(target=lambda: self.page.run(self._ends.is_set))
 
     def live(self) -> None:
         """Lets the robot live and the page be drawn."""
         self.session.start()
-        self._painter.start()
+        self._stack.enter_context(drawn(self.page))
 
     def close(self) -> None:
-        self._ends.set()
-        if self._painter.is_alive():
-            self._painter.join()
-        self.session.close()
-        self.server.stop()
+        self._stack.close()
 
     @property
     def kept(self) -> tuple[int, int, int]:

@@ -15,15 +15,14 @@ from app.page.figure import Figure
 from app.page.floor import add_floor
 from app.page.panel import Actions, Panel
 from app.page.pointer import FloorPointer, Pointed, Tool, facing
-from app.page.prints import Marker, Prints
+from app.page.prints import Prints
 from app.page.server import PageServer
 from app.page.session import Session
+from app.page.signs import Signs
 from app.page.snapshot import Notice, Snapshot
 from app.page.surface import FLOOR, WALL, surface_of
 from app.page.toybox import Toybox
 from controller.policy import Policy
-from planner.options import PlannerOptions
-from planner.plan import Pose
 from sim.robot import Robot
 
 FRAMES_PER_S = 30.0
@@ -32,7 +31,6 @@ _UNSEEN_FRAMES_PER_S = 4.0
 TEXT_EVERY_S = 0.25
 PLOT_EVERY_S = 0.5
 _NOTICE_FOR_S = 6.0
-_PALE_RGB = (240, 170, 160)
 _IN_THE_WAY = {WALL: "a wall", 0: "a box"}
 
 
@@ -49,22 +47,19 @@ class Page:
         self,
         server: PageServer,
         session: Session,
-        robot: Robot,
         *,
         robots: tuple[str, ...],
         load: Callable[[str], tuple[Robot, Policy]],
-        options: PlannerOptions,
     ) -> None:
-        self._server, self.session, self._robot, self._load = server, session, robot, load
+        self.server, self.session, self._load = server, session, load
         self._tool = Tool.GOAL
         self._notice: tuple[float, Notice] | None = None
         self._shown: Snapshot | None = None
         self._text_s = self._plot_s = 0.0
         self._drawing = threading.Lock()
-        scene, grid = server.scene, session.grid
-        self._goal = Marker(scene, grid, "/goal")
-        self._wished = Marker(scene, grid, "/wished", _PALE_RGB)
+        scene, grid, robot = server.scene, session.grid, session.robot
         self._pointer = FloorPointer(self._pointed, surface_of(grid), on_drag=self._dragged)
+        self._signs = Signs(scene, self._pointer.height_m)
         self.toybox = Toybox(
             scene,
             grid,
@@ -78,7 +73,7 @@ class Page:
         self._prints = Prints(scene, grid, robot.step_model.foot)
         self._figure = Figure(scene, look_of(robot))
         actions = Actions(
-            go=self._go,
+            go=session.go_to,
             put=session.reset,
             stop=session.stop,
             reset=session.reset,
@@ -90,9 +85,12 @@ class Page:
             clear_boxes=self.toybox.clear,
             remove_box=self.toybox.remove_last,
         )
-        self._panel = Panel(server.gui, actions, robots=robots, robot=robot.name, options=options)
-        self._panel.show_start(session.start_pose)
+        self._panel = Panel(
+            server.gui, actions, robots=robots, robot=robot.name, options=session.options
+        )
         self._cameras = Cameras(server, grid, order=self._panel.switch_order)
+        # Whoever goes in the middle of a drag points at nothing any more.
+        server.on_client_disconnect(lambda _client: self._signs.point(None))
 
     @property
     def visitors(self) -> int:
@@ -101,22 +99,23 @@ class Page:
 
     def wait_for_visitor(self) -> None:
         """Shows the scene as it is until somebody has opened the page."""
-        self.run(is_over=lambda: bool(self._server.get_clients()))
+        self.run(is_over=lambda: bool(self.server.get_clients()))
 
     def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
         """Shows what happens until `is_over`, or for ever; a frame that fails ends the page."""
         while not is_over():
             began_s = time.monotonic()
             self.show(self.session.snapshot)
-            rate = FRAMES_PER_S if self._server.get_clients() else _UNSEEN_FRAMES_PER_S
+            rate = FRAMES_PER_S if self.server.get_clients() else _UNSEEN_FRAMES_PER_S
             time.sleep(max(0.0, 1 / rate - (time.monotonic() - began_s)))
 
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment; what has not changed since the last is left alone."""
-        with self._drawing, self._server.atomic():
+        with self._drawing, self.server.atomic():
             if len(snapshot.qpos) != self._figure.length:
                 return  # The robot has just been exchanged for another one.
             self._figure.pose(snapshot.qpos)
+            self._signs.show(snapshot)
             self._show_steps(snapshot)
             self._shown = snapshot
         place = snapshot.qpos[:2]
@@ -131,9 +130,6 @@ class Page:
 
     def _show_steps(self, new: Snapshot) -> None:
         old, prints = self._shown, self._prints
-        if old is None or new.goal != old.goal:
-            self._goal.show(new.goal)
-            self._wished.show(None)
         if old is None or new.plan is not old.plan or new.done != old.done:
             side = np.zeros(0, np.int8) if new.plan is None else new.plan.side
             pose = np.zeros((0, 4)) if new.plan is None else new.plan.pose_world
@@ -157,10 +153,6 @@ class Page:
         self._tool = tool
         self._pointer.use(tool)
 
-    def _go(self, goal: Pose) -> None:
-        self._wished.show(goal)
-        self.session.go_to(goal)
-
     def _pointed(self, pointed: Pointed, on: int, is_final: bool) -> None:
         if self._tool is Tool.BOX:
             self._box_pointed(pointed, on)
@@ -169,13 +161,10 @@ class Page:
         w, x, y, z = qpos[3:7]
         yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         pose = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
-        self._wished.show(pose)
+        self._signs.point(None if is_final else pose)
         if is_final and self._tool is Tool.ROBOT:
-            self._wished.show(None)
-            self._panel.show_start(pose)
             self.session.reset(pose)
         elif is_final:
-            self._panel.show_goal(pose)
             self.session.go_to(pose, in_the_way=_IN_THE_WAY.get(min(on, 0), ""))
 
     def _box_pointed(self, pointed: Pointed, on: int) -> None:
@@ -209,6 +198,6 @@ class Page:
             self._figure.remove()
             self._prints.clear()
             self.session.set_robot(robot, policy)
-            self._prints = Prints(self._server.scene, self.session.grid, robot.step_model.foot)
-            self._figure = Figure(self._server.scene, look)
+            self._prints = Prints(self.server.scene, self.session.grid, robot.step_model.foot)
+            self._figure = Figure(self.server.scene, look)
             self._shown = None

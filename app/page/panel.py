@@ -96,8 +96,23 @@ class Panel:
         if text != self._text:
             self._text = self._status.content = text
         notice = unheard or snapshot.notice
-        if notice == self._heard:
-            return
+        is_news = notice != self._heard
+        self._show_poses(snapshot, notice if is_news else None)
+        if is_news:
+            self._show_notice(notice)
+
+    def _show_poses(self, snapshot: Snapshot, news: Notice | None) -> None:
+        """Start and goal as they hold, also where something was typed that has just been refused.
+
+        As long as there is no goal at all the refused one stays, to be corrected.
+        """
+        refused = None if news is None else news.refused
+        is_start = news is not None and news.puts_robot
+        self._start.show(snapshot.start, anew=refused is not None and is_start)
+        goal = snapshot.wished or snapshot.goal or (None if is_start else refused)
+        self._goal.show(goal, anew=refused is not None and not is_start)
+
+    def _show_notice(self, notice: Notice | None) -> None:
         self._heard = notice
         self._notice.content = "" if notice is None else f"⚠️ {notice.text}"
         self._notice.visible = notice is not None
@@ -105,23 +120,13 @@ class Panel:
         if notice is not None and notice.offer is not None:
             self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
 
-    def show_goal(self, pose: Pose) -> None:
-        """Puts the numbers of a goal into the fields where they can be typed."""
-        self._goal.show(pose)
-
-    def show_start(self, pose: Pose) -> None:
-        """Puts the numbers of the robot's start into the fields where they can be typed."""
-        self._start.show(pose)
-
     def _accept(self) -> None:
         notice = self._heard
         if notice is None or notice.offer is None:
             return
         if notice.puts_robot:
-            self.show_start(notice.offer)
             self._actions.put(notice.offer)
         else:
-            self.show_goal(notice.offer)
             self._actions.go(notice.offer)
 
     def _add_tools(self) -> None:
@@ -209,6 +214,7 @@ class _PoseFields:
         self._x: Any = gui.add_number(f"{prefix}x, m", 0.0, step=0.05)
         self._y: Any = gui.add_number(f"{prefix}y, m", 0.0, step=0.05)
         self._degrees: Any = gui.add_number(f"{prefix}heading, °", 0.0, step=5.0)
+        self._shown: Pose | None = None
 
     @property
     def pose(self) -> Pose:
@@ -216,8 +222,11 @@ class _PoseFields:
         yaw_rad = math.radians(self._degrees.value)
         return float(self._x.value), float(self._y.value), yaw_rad
 
-    def show(self, pose: Pose) -> None:
-        """Puts the pose there."""
+    def show(self, pose: Pose | None, *, anew: bool = False) -> None:
+        """Puts a pose there; if it is that of the last time, what was typed stays unless `anew`."""
+        if pose is None or (pose == self._shown and not anew):
+            return
+        self._shown = pose
         self._x.value, self._y.value = pose[0], pose[1]
         self._degrees.value = round(math.degrees(pose[2]), 1)
 

@@ -56,6 +56,11 @@ class Answer:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ready:
+    """Says that all is loaded, and compiled if it had to be: a question is answered at once."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class World:
     """What is planned over."""
 
@@ -77,6 +82,7 @@ class PlanningProcess:
         self._number = 0
         self._open: Query | None = None
         self._kept: list[Answer] = []
+        self._is_ready = False
         self._start()
 
     def _start(self) -> None:
@@ -96,6 +102,12 @@ class PlanningProcess:
     def process_id(self) -> int | None:
         """Of the process that plans."""
         return self._process.pid
+
+    def is_ready(self, wait_s: float = 0.0) -> bool:
+        """Whether the first question would be answered at once; waits for that for so long."""
+        if not self._is_ready:
+            self._receive(wait_s)
+        return self._is_ready
 
     def set_world(self, world: World) -> None:
         """Plans from now on over another map, or for another robot."""
@@ -183,7 +195,9 @@ class PlanningProcess:
             while self._pipe.poll(wait_s):
                 answer = self._pipe.recv()
                 wait_s = 0.0
-                if answer.number == self._number:
+                if isinstance(answer, Ready):
+                    self._is_ready = True
+                elif answer.number == self._number:
                     self._open = None
                     self._kept.append(answer)
         except (EOFError, OSError):
@@ -229,6 +243,7 @@ def _work(pipe: Connection) -> None:
                 if world is not None and planners is None and not pipe.poll():
                     # Nobody waits yet: the first question shall not have to.
                     planners = _planners(world)
+                    pipe.send(Ready())
                 message = pipe.recv()
                 if isinstance(message, World):
                     if world is None:

@@ -78,6 +78,10 @@ class FloorPointer:
         """These boxes stand on the map from now on."""
         self._surface = self._bare.with_boxes(obstacles)
 
+    def height_m(self, place: Sequence[float]) -> float:
+        """How high floor, wall or box at a point of the world reaches."""
+        return self._surface.height_m(place)
+
     # Coroutines are awaited one after the other; functions could overtake one another.
     async def clicked(self, event: viser.SceneNodePointerEvent) -> None:
         """Takes a click on anything; what it meets first counts, whoever tells of it."""

@@ -1,21 +1,18 @@
-"""Footprints, the path of the body, and the goal in a viser scene."""
+"""Footprints and the path of the body in a viser scene."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 import viser
 
-from app.page.floor import FLOOR_RGB, turned
+from app.page.floor import FLOOR_RGB
 from maps.grid import OccupancyGrid
 from planner.model import FootShape, Side
-from planner.picture import GOAL, LEFT, RIGHT
+from planner.picture import LEFT, RIGHT
 
 Rgb = tuple[int, int, int]
 # The pictures of plans have the same colours, written blue, green, red.
 SIDE_RGB: dict[Side, Rgb] = {Side.LEFT: LEFT[::-1], Side.RIGHT: RIGHT[::-1]}
-GOAL_RGB: Rgb = GOAL[::-1]
 PATH_RGB: Rgb = (112, 60, 150)
 PATH_WIDTH_M = 0.025
 # Above one another, so that no two fight for the same pixels.
@@ -132,32 +129,6 @@ class _Sheet:
             side="double",
             cast_shadow=False,
         )
-
-
-class Marker:
-    """An arrow on the floor that stands for a pose."""
-
-    def __init__(
-        self, scene: viser.SceneApi, grid: OccupancyGrid, name: str, rgb: Rgb = GOAL_RGB
-    ) -> None:
-        self._grid = grid
-        self._arrow = scene.add_arrows(
-            name,
-            points=np.array([[[-0.05, 0, 0.0], [0.4, 0, 0.0]]], np.float32),
-            colors=rgb,
-            shaft_radius=0.025,
-            head_radius=0.07,
-            head_length=0.14,
-            visible=False,
-        )
-
-    def show(self, pose: Sequence[float] | None) -> None:
-        """Puts it at the pose x_m, y_m, yaw_rad; None hides it."""
-        self._arrow.visible = pose is not None
-        if pose is not None:
-            ground_m = float(self._grid.height_m(pose[:2]))
-            self._arrow.position = (pose[0], pose[1], ground_m + 0.04)
-            self._arrow.wxyz = turned(pose[2])
 
 
 def _mixed(rgb: Rgb, paleness: float) -> Rgb:

@@ -18,7 +18,7 @@ class Record:
     """Filled by the physics; the arrays are replaced, never changed, so any thread may read them.
 
     placed_side (N,), placed_world (N, 4), foot_error_m (N,): the steps of this walk.
-    path_world (T, 2): the way of the body, four points a second.
+    path_world (T, 2): the way of the body, four points a second. walk: how many have begun.
     """
 
     def __init__(self) -> None:
@@ -26,6 +26,7 @@ class Record:
             maxlen=round(FORCE_WINDOW_S / CONTROL_PERIOD_S)
         )
         self._ticks = 0
+        self.walk = 0
         self.clearance_m: float | None = None
         self.placed_side = np.zeros(0, np.int8)
         self.placed_world = np.zeros((0, 4))
@@ -34,6 +35,7 @@ class Record:
 
     def begin(self, navigator: Navigator) -> None:
         """A new walk: what is known of the one before is forgotten."""
+        self.walk += 1
         self.clearance_m = None
         self.landed(navigator)
 

@@ -15,8 +15,9 @@ from app.page.camera import overview
 from app.page.cameras import aim_pages
 from app.page.figure import Figure
 from app.page.floor import add_floor
-from app.page.prints import Marker, Prints
+from app.page.prints import Prints
 from app.page.server import open_server
+from app.page.signs import Marker
 from app.pictures.rendering import Recording
 from app.progress import ProgressBar
 from maps.grid import OccupancyGrid
@@ -51,7 +52,8 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
         # Before the recording begins: what comes later moves the camera while the walk plays.
         aim_pages(server, overview(grid, _ASPECT, beside_panel=False))
         add_floor(server.scene, grid)
-        Marker(server.scene, grid, "/goal").show(story.goal)
+        goal = Marker(server.scene, "/goal", height_m=lambda pose: float(grid.height_m(pose[:2])))
+        goal.show(story.goal)
         prints = Prints(server.scene, grid, robot.step_model.foot)
         stage = _Stage(Figure(server.scene, look_of(robot)), prints)
         frames = frame_indices(story.recording)

@@ -10,11 +10,15 @@ import numpy as np
 from app.navigator import Navigator, Placed, PlansSteps, scene_of
 from app.report import Outcome
 from controller.cursor import STANCE
+from controller.gait import CONTROL_PERIOD_S
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
 from planner.footing import Footing
 from planner.model import Side
 from planner.plan import FootstepPlan, feet_at, pair_pose
+
+# A robot that stands is not simulated for longer: its feet would creep, and nobody would gain.
+_REST_AFTER_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +38,12 @@ class Rover(Navigator):
     """A navigator whose plans come from outside, whenever they are ready.
 
     In mid-step the robot cannot change its mind: a plan from `ahead()` waits until the foot in the
-    air has landed. `tick()` goes on balancing the robot when there is nowhere to go.
+    air has landed. `tick()` goes on balancing the robot when there is nowhere to go; `idle_s` is
+    for how long it has.
     """
 
     landings = 0
+    idle_s = 0.0
     going = False
     halted = False
     _waiting: tuple[FootstepPlan, int] | None = None
@@ -46,6 +52,11 @@ class Rover(Navigator):
     def has_ended(self) -> bool:
         """Whether it fell or ran into something: only a new rover helps."""
         return self.outcome in (Outcome.FELL, Outcome.COLLIDED)
+
+    @property
+    def rests(self) -> bool:
+        """Whether there is nothing to simulate until it is told to go somewhere."""
+        return self.has_ended or self.idle_s > _REST_AFTER_S
 
     @property
     def waiting(self) -> FootstepPlan | None:
@@ -91,7 +102,7 @@ class Rover(Navigator):
             self.plans, self.placed, self.followed = [], [], []
             self.qpos = [self.qpos[-1]]
         self.goal, self.outcome, self.reason = tuple(goal), None, ""
-        self.going, self.halted = True, False
+        self.going, self.halted, self.idle_s = True, False, 0.0
         self.plans.append(plan)
         if now:
             self._waiting = None
@@ -104,7 +115,7 @@ class Rover(Navigator):
         """Puts the feet side by side as soon as it can, and stands there."""
         ahead = self.ahead()
         if ahead.first_side is None:
-            self._waiting, self.going, self.halted = None, False, True
+            self._waiting, self.going, self.halted, self.idle_s = None, False, True, 0.0
             return
         support = ahead.feet_world[ahead.first_side.other]
         feet = _beside(support, ahead.first_side, self.robot.step_model.stance_width_m)
@@ -141,8 +152,9 @@ class Rover(Navigator):
             return
         if self.going and self.outcome is None:
             super().tick()
-            self.going = self.outcome is None
+            self.going, self.idle_s = self.outcome is None, 0.0
             return
+        self.idle_s += CONTROL_PERIOD_S
         self.walker.act(self.policy.act(self.walker.observe()))
         self.qpos[-1] = self.walker.sim.qpos[0].copy()
         self._look_for_failure()

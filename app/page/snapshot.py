@@ -13,10 +13,12 @@ from planner.plan import FootstepPlan, Pose
 class Notice:
     """Something that went wrong, for people, and a pose that would do instead, if one is known.
 
-    The offer is a goal, or with `puts_robot` a place for the robot to begin anew.
+    What was refused and what is on offer are goals, or with `puts_robot` places for the robot to
+    begin anew.
     """
 
     text: str
+    refused: Pose | None = None
     offer: Pose | None = None
     puts_robot: bool = False
 
@@ -25,16 +27,20 @@ class Notice:
 class Snapshot:
     """The robot, its plan and its walk so far; times in s, of the simulation unless said.
 
-    `done` steps of `plan` have been taken. placed_side (N,), placed_world (N, 4) and
-    foot_error_m (N,) tell of the steps of this walk; path_world (T, 2) of the body.
-    `speed` is simulated over real time as it is reached; `answer_s` the real time from question
-    to plan. `walk` counts walks: another number means that a new one has begun.
+    `start` is where a reset puts the robot, `goal` where it walks or has walked to, `wished` a goal
+    that somebody has set and that is being planned for. `done` steps of `plan` have been taken.
+    placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
+    path_world (T, 2) of the body. `speed` is simulated over real time as it is reached; `answer_s`
+    the real time from question to plan. `walk` counts walks: another number means that a new one
+    has begun.
     """
 
     qpos: np.ndarray
     time_s: float = 0.0
     walk: int = 0
+    start: Pose = (0.0, 0.0, 0.0)
     goal: Pose | None = None
+    wished: Pose | None = None
     plan: FootstepPlan | None = None
     done: int = 0
     placed_side: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,6 +50,13 @@ class Surface:
             on[place] = np.where(top_m[place] > reach_m, on[place], obstacle.number)
             top_m[place] = np.maximum(top_m[place], reach_m)
         return Surface(grid=self.grid, top_m=top_m, on=on)
+
+    def height_m(self, place: Sequence[float]) -> float:
+        """How high what is at a point x, y of the world reaches; beyond the edge, the lowest."""
+        row, col = (int(value) for value in self.grid.world_to_cell(np.asarray(place)[:2]))
+        rows, cols = self.grid.shape
+        inside = 0 <= row < rows and 0 <= col < cols
+        return float(self.top_m[row, col] if inside else self.top_m.min())
 
     def met(self, origin: ArrayLike, direction: ArrayLike) -> Met | None:
         """What a ray from a point (3,) of the world meets first; None if it never does.
