@@ -66,14 +66,18 @@ def terrain_of(grid: OccupancyGrid, unknown_is_free: bool) -> Terrain:
 @njit(cache=True)
 def point_clearance(terrain: Terrain, x: float, y: float) -> float:
     """Lower bound in metres on the distance from a point to blocked ground; 0 off the map."""
-    rows, cols = terrain.blocked.shape
-    col = math.floor(x / terrain.resolution_m)
-    row = math.floor(y / terrain.resolution_m)
+    return clearance_at(terrain.clearance_m, terrain.resolution_m, x, y)
+
+
+@njit(cache=True)
+def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: float) -> float:
+    """`point_clearance` for loops that have the field (H, W) and its cells' size at hand."""
+    rows, cols = clearance_m.shape
+    col, row = math.floor(x / size_m), math.floor(y / size_m)
     if row < 0 or col < 0 or row >= rows or col >= cols:
         return 0.0
-    off_x = x - (col + 0.5) * terrain.resolution_m
-    off_y = y - (row + 0.5) * terrain.resolution_m
-    return max(0.0, terrain.clearance_m[row, col] - math.sqrt(off_x * off_x + off_y * off_y))
+    off_x, off_y = x - (col + 0.5) * size_m, y - (row + 0.5) * size_m
+    return max(0.0, clearance_m[row, col] - math.sqrt(off_x * off_x + off_y * off_y))
 
 
 @njit(cache=True)

@@ -62,8 +62,7 @@ class Strip(NamedTuple):
 def path_toward(space: Space, guide: Potential, cells: Int64s) -> Strip:
     """Path costs from the goal in the strip of cells through which A* looks for the cells (n,)."""
     ahead = ahead_of(space, guide, cells)
-    # What else is wanted lies at most twice the slack behind the first of it.
-    beyond_um = 2 * ahead.slack_um + _MARGIN_MOVES * ahead.level_um
+    beyond_um = ahead.slack_um + _MARGIN_MOVES * ahead.level_um
     cost_um = np.zeros(space.cols * space.rows, np.int32)
     seeds = np.array([space.origin_row * space.cols + space.origin_col]), np.array([0])
     moves = moves_of(guide)
@@ -88,40 +87,35 @@ def raise_by_arrival(
     start, which is also what is returned.
     """
     far_um = 0
+    cols, reach = space.cols, len(inside) // 2
     cell = start
     while cell >= 0:
-        place = _straight_place(space, cell, cost_um[cell], ahead, inside)
-        if place[0] >= 0:
-            far_um = arrive_um[place]
+        row, col = cell // cols, cell % cols
+        if _is_straight(row, col, cost_um[cell], ahead, inside):
+            far_um = arrive_um[row - ahead.row + reach, col - ahead.col + reach]
             break
         cell = _downhill(space, cost_um, cell)
-    for cell in range(len(cost_um)):
-        if cost_um[cell] > 0:
-            place = _straight_place(space, cell, cost_um[cell], ahead, inside)
-            if place[0] < 0:
-                cost_um[cell] += far_um
-            elif cost_um[cell] > exact_um:
-                cost_um[cell] += arrive_um[place]
+    for row in range(space.rows):
+        for col in range(cols):
+            path_um = cost_um[row * cols + col]
+            if path_um <= 0:
+                continue
+            if not _is_straight(row, col, path_um, ahead, inside):
+                cost_um[row * cols + col] += far_um
+            elif path_um > exact_um:
+                arrive = arrive_um[row - ahead.row + reach, col - ahead.col + reach]
+                cost_um[row * cols + col] += arrive
     return far_um
 
 
 @njit(cache=True)
-def _straight_place(
-    space: Space,
-    cell: int,
-    path_um: int,
-    ahead: Ahead,
-    inside: NDArray[np.bool_],
-) -> tuple[int, int]:
-    """Row and column in the endgame's tables of a cell whose path is straight; else -1, -1."""
+def _is_straight(row: int, col: int, path_um: int, ahead: Ahead, inside: NDArray[np.bool_]) -> bool:
+    """Whether a cell's path to the goal is straight and within the ring of the endgame."""
     reach = len(inside) // 2
-    col = cell % space.cols - space.origin_col + reach
-    row = cell // space.cols - space.origin_row + reach
-    if not (0 <= col <= 2 * reach and 0 <= row <= 2 * reach and inside[row, col]):
-        return -1, -1
-    if path_um - 1 > ahead_um(ahead, cell % space.cols, cell // space.cols):
-        return -1, -1
-    return row, col
+    up, across = row - ahead.row + reach, col - ahead.col + reach
+    if not (0 <= across <= 2 * reach and 0 <= up <= 2 * reach and inside[up, across]):
+        return False
+    return path_um - 1 <= ahead_um(ahead, col, row)
 
 
 @njit(cache=True)

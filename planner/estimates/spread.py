@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.checks.collision import Terrain, point_clearance
+from planner.checks.collision import Terrain, clearance_at, point_clearance
 from planner.estimates.guide import MOVES, Potential
-from planner.lattice.space import Int64s, Space, to_grid
+from planner.lattice.space import Int64s, Space
 
 NOWHERE_UM = 1 << 30
 SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
@@ -75,9 +75,8 @@ def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
 
 def ahead_of(space: Space, guide: Potential, cells: Int64s) -> Ahead:
     """The straight way to the nearest of some cells (n,), or less."""
-    col = round(float(np.median(cells % space.cols)))
-    row = round(float(np.median(cells // space.cols)))
-    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
+    col, row = (int(v.min() + v.max()) // 2 for v in (cells % space.cols, cells // space.cols))
+    level_um, diagonal_um, knight_um = sorted(set(guide.move_um.tolist()))
     ahead = Ahead(col, row, level_um, diagonal_um, knight_um, 0)
     # By how much the straight way to one of the cells may be shorter than that to their middle.
     return ahead._replace(slack_um=int(all_ahead_um(ahead, space.cols, cells).max()))
@@ -107,6 +106,10 @@ def spread_costs(
     """
     around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
     cols = space.cols
+    d_cell = around[:, 1] * cols + around[:, 0]
+    # In local names: taken from the tuples in the loop they cost more than the loop itself.
+    clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
+    plane = space.frame, space.cell_m, space.origin_col, space.origin_row
     queue, shift, bucket = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
     head, cells, costs, after, waiting = queue
     ring, used, last = len(head) - 1, waiting, -1
@@ -132,17 +135,19 @@ def spread_costs(
                 costs = np.concatenate((costs, np.empty_like(costs)))
                 after = np.concatenate((after, np.empty_like(after)))
             for move in range(len(move_um)):
-                to_col, to_row = col + around[move, 0], row + around[move, 1]
-                near = to_row * cols + to_col
-                there = here + move_um[move]
+                near, there = cell + d_cell[move], here + move_um[move]
                 old = np.int64(cost_um[near])
+                if 0 != old <= there:
+                    continue  # as it is if it is shut
+                to_col, to_row = col + around[move, 0], row + around[move, 1]
                 if old == 0:
+                    x, y = _on_map(plane, to_col, to_row)
                     shut = len(mask) > 0 and mask[near] == 0
-                    if shut or _is_shut(space, to_col, to_row, reach_m):
+                    if clearance_at(clearance_m, size_m, x, y) <= max(reach_m, 0.0):
+                        shut = shut or _is_shut(space, to_col, to_row, reach_m)
+                    if shut:
                         cost_um[near] = SHUT_CELL
                         continue
-                elif old <= there:
-                    continue  # as it is if it is shut
                 cost_um[near] = there
                 slot = (there - 1 + ahead_um(ahead, to_col, to_row)) >> shift & ring
                 cells[used], costs[used] = near, there
@@ -204,6 +209,16 @@ def _queue_seeds(
 
 
 @njit(cache=True)
+def _on_map(
+    plane: tuple[tuple[float, float, float, float], float, int, int], col: int, row: int
+) -> tuple[float, float]:
+    """A cell's point in the grid frame."""
+    (ox, oy, cos, sin), cell_m, origin_col, origin_row = plane
+    x, y = (col - origin_col) * cell_m, (row - origin_row) * cell_m
+    return ox + cos * x - sin * y, oy + sin * x + cos * y
+
+
+@njit(cache=True)
 def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
     """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
     row = cell // space.cols
@@ -214,9 +229,8 @@ def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
 def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
     if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
         return True
-    x, y = to_grid(
-        space, (col - space.origin_col) * space.cell_m, (row - space.origin_row) * space.cell_m
-    )
+    plane = space.frame, space.cell_m, space.origin_col, space.origin_row
+    x, y = _on_map(plane, col, row)
     return is_nearer(space.terrain, x, y, reach_m)
 
 

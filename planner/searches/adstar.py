@@ -15,7 +15,8 @@ from planner.options import PlannerOptions
 from planner.searches import search
 from planner.searches.ara import Run, quick_plan
 from planner.searches.kept import KeptTree
-from planner.searches.request import Request, Result, first_nodes, found, no_first_step
+from planner.searches.quick import NO_WAY
+from planner.searches.request import Request, Result, first_nodes, found, no_first_step, no_way
 from planner.searches.search import NO_COST
 
 _NAME = "adstar"
@@ -37,6 +38,8 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     view = kept.look(request, nodes, costs_um)
     if view.best_um == NO_COST:
         quick = quick_plan(request, nodes, costs_um, options)
+        if quick is NO_WAY:
+            return no_way()
         if quick is not None:
             kept.graft(request.space, quick.nodes)
             expansions, least_um = quick.expansions, quick.least_um

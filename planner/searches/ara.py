@@ -14,7 +14,7 @@ from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.searches import search
-from planner.searches.quick import QuickPath, quick_path
+from planner.searches.quick import NO_WAY, QuickPath, is_cut_off, quick_path
 from planner.searches.request import (
     Request,
     Result,
@@ -23,6 +23,7 @@ from planner.searches.request import (
     first_nodes,
     found,
     no_first_step,
+    no_way,
 )
 from planner.searches.search import Tree
 from planner.searches.task import Task, backward_task, forward_task, least_toward_goal
@@ -45,6 +46,8 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
         return no_first_step(request)
     run = Run(request, options, began)
     quick = quick_plan(request, nodes, costs_um, options)
+    if quick is NO_WAY:
+        return no_way()
     if quick is not None:
         run.take(quick)
         if options.stop_at_first or run.proven <= options.final_epsilon:
@@ -57,6 +60,8 @@ def quick_plan(
 ) -> QuickPath | None:
     """A plan to the goal's own pose, if it is free, with a bound that holds for all that may be.
 
+    NO_WAY where it is the only end and is cut off.
+
     Where more than the first plan is wanted and the goal is a region there is none: effort would go
     into improving a plan to its middle, the dearest end to come to.
     """
@@ -68,8 +73,10 @@ def quick_plan(
     if not np.all(np.isin(toward.goal_nodes, toward.ends)):
         return None
     quick = quick_path(request, nodes, costs_um, options)
+    if quick is None or quick is NO_WAY:
+        return None
     least_um = least_toward_goal(request, nodes, costs_um)
-    return None if quick is None else replace(quick, least_um=min(least_um, quick.cost_um))
+    return replace(quick, least_um=min(least_um, quick.cost_um))
 
 
 def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
@@ -77,6 +84,8 @@ def plan_astar(request: Request, options: PlannerOptions, began: float) -> Resul
     nodes, costs_um = first_nodes(request)
     if not len(nodes):
         return no_first_step(request)
+    if is_cut_off(request, nodes):
+        return no_way()
     options = replace(options, epsilon=1.0, final_epsilon=1.0, improve_expansions=None)
     return Run(request, options, began).result(forward_task(request, nodes, costs_um))
 
@@ -86,6 +95,8 @@ def plan_backward(request: Request, options: PlannerOptions, began: float) -> Re
     nodes, costs_um = first_nodes(request)
     if not len(nodes):
         return no_first_step(request)
+    if is_cut_off(request, nodes):
+        return no_way()
     return Run(request, options, began).result(backward_task(request, nodes, costs_um))
 
 
@@ -144,11 +155,7 @@ class Run:
         if self._quick is not None and self._quick.cost_um < scalars[search.BEST_UM]:
             scalars[search.BEST_UM], scalars[search.BEST_NODE] = self._quick.cost_um, _QUICK
         if not task.may_connect:
-            return failure(
-                PlanStatus.NO_PATH,
-                "the goal cannot be reached: obstacles enclose the start or the goal "
-                "for a body of this width",
-            )
+            return no_way()
         epsilon = self.options.epsilon
         while self._round(epsilon):
             epsilon = _next_epsilon(epsilon)

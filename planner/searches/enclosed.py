@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from planner.lattice.flood import Verdict, new_flood, spread
-from planner.searches.request import Request, first_nodes, no_first_step
-from planner.searches.task import forward_task
+from planner.searches.quick import is_cut_off
+from planner.searches.request import Request, first_nodes, no_first_step, no_way
 
 _NODES = 1 << 17  # that each flood goes on from
 _BEGIN = "the goal cannot be reached: "
 
 
 def is_shut(request: Request) -> str:
-    """Why there is no way as the lattice's 2D search knows it, which is quick; empty if unknown."""
-    nodes, costs_um = first_nodes(request)
+    """Why there is no way as the search of the body's path knows it; empty if that is unknown."""
+    nodes, _ = first_nodes(request)
     if not len(nodes):
         return no_first_step(request).reason
-    if forward_task(request, nodes, costs_um).may_connect:
-        return ""
-    return f"{_BEGIN}obstacles enclose the start or the goal for a body of this width"
+    return no_way().reason if is_cut_off(request, nodes) else ""
 
 
 def how_enclosed(request: Request) -> str:

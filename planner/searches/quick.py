@@ -40,16 +40,34 @@ class QuickPath:
     expansions: int
 
 
+NO_WAY = QuickPath(nodes=np.zeros(0, np.int64), cost_um=0, least_um=0, expansions=0)
+
+
+def is_cut_off(request: Request, nodes: Int64s) -> bool:
+    """Whether the goal's own pose is the only end, and no path of the body leads there.
+
+    nodes (n,): first steps. A region is never said to be cut off.
+    """
+    if not request.toward.region.is_point:
+        return False
+    cells = body_cells_of(request.toward, nodes)
+    path = path_toward(request.space, request.toward.tables.potential, np.unique(cells))
+    return not np.any(path.cost_um[cells] > 0)
+
+
 def quick_path(
     request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
 ) -> QuickPath | None:
-    """A plan from the first steps (n,) with their costs; None where the strip holds none."""
+    """A plan from the first steps (n,) with their costs; None where the strip holds none.
+
+    NO_WAY where no path of the body leads to the goal's own pose.
+    """
     toward, exits = request.toward, request.toward.tables.exits
     potential_um = toward.tables.potential.potential_um.reshape(-1)
     cells = body_cells_of(toward, nodes)
     path = path_toward(request.space, toward.tables.potential, np.unique(cells))
     if not np.any(path.cost_um[cells] > 0):
-        return None
+        return NO_WAY
     rows = nodes % (2 * request.space.headings)
     bounds_um = costs_um + path.least_um(cells) + potential_um[rows]
     arrive_um = _lift(request, path, int(cells[np.argmin(costs_um)]))

@@ -104,6 +104,15 @@ def no_first_step(request: Request) -> Result:
     return failure(PlanStatus.NO_PATH, reason)
 
 
+def no_way() -> Result:
+    """The result where no path of the body leads from the start to the goal."""
+    reason = (
+        "the goal cannot be reached: obstacles enclose the start or the goal for a body of this "
+        "width"
+    )
+    return failure(PlanStatus.NO_PATH, reason)
+
+
 def first_nodes(request: Request) -> tuple[Int64s, Int64s]:
     """Nodes (n,) and costs (n,) of the first steps with either foot, or with the one asked for."""
     sides = Side if request.first_side is None else (request.first_side,)

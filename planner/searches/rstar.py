@@ -28,8 +28,8 @@ from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
 from planner.searches.ara import Run, quick_plan
 from planner.searches.local import Found, Target, search_to, target_around
-from planner.searches.quick import QuickPath
-from planner.searches.request import Request, Result, first_nodes, no_first_step
+from planner.searches.quick import NO_WAY, QuickPath
+from planner.searches.request import Request, Result, first_nodes, no_first_step, no_way
 from planner.searches.task import forward_task, least_toward_goal
 from planner.searches.toward import body_cells_of
 
@@ -52,6 +52,8 @@ def plan_rstar(request: Request, options: PlannerOptions, began: float) -> Resul
     first = _Sparse(request, nodes, costs_um, options, began).plan()
     if first is None:
         first = quick_plan(request, nodes, costs_um, options)
+    if first is NO_WAY:
+        return no_way()
     if first is not None:
         run.take(first)
         if options.stop_at_first or run.proven <= options.final_epsilon:
