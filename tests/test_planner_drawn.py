@@ -9,8 +9,8 @@ from maps.grid import Cell
 from planner.api import Planner
 from planner.estimates.body_path import spread_from
 from planner.estimates.guide import MOVES
-from planner.searches import search
 from planner.searches.drawn import draw_path, heuristic_on_the_way
+from planner.searches.heuristic import estimate, estimates
 from planner.searches.request import first_nodes
 from tests.planner_floor import CASES, fine_model, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model
@@ -80,15 +80,15 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
     heuristic = heuristic_on_the_way(request.toward, nodes)
     exact_m = Oracle(grid, model, goal).costs_to_go(start)
     seen = 0
-    for node in range(len(request.space.node_state)):
+    for node in range(request.space.nodes):
         cost_m = exact_m.get(oracle_node(request.space, node))
         if cost_m is not None:
             seen += 1
-            assert search.estimate(request.space, heuristic, node) / 1e6 <= cost_m + 1e-5
+            assert estimate(request.space, heuristic, node) / 1e6 <= cost_m + 1e-5
     assert seen == len(exact_m) > 500
     # At the first steps it says what the one over the whole map says.
     least_um = [
-        (costs_um + search.estimates(request.space, h, nodes)).min()
+        (costs_um + estimates(request.space, h, nodes)).min()
         for h in (heuristic, request.heuristic)
     ]
     assert least_um[0] >= 0.95 * least_um[1]
@@ -99,7 +99,7 @@ def test_near_the_goal_the_table_says_what_the_path_does_not():
     request = request_of(grid, model, (1.2, 1.2, 0.0), (1.5, 1.3, 0.0))
     nodes, _ = first_nodes(request)
     drawn_um, exact_um = (
-        search.estimates(request.space, h, nodes)
+        estimates(request.space, h, nodes)
         for h in (heuristic_on_the_way(request.toward, nodes), request.heuristic)
     )
     np.testing.assert_array_equal(drawn_um, exact_um)

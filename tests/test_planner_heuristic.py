@@ -11,7 +11,7 @@ import pytest
 from planner.api import Planner, _to_lattice
 from planner.options import PlannerOptions
 from planner.plan import feet_at
-from planner.searches import search
+from planner.searches.heuristic import estimate
 from planner.searches.quick import quick_path
 from planner.searches.request import Request, first_nodes
 from planner.searches.task import heuristic_toward_start
@@ -76,7 +76,7 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
 def estimated_m(space, heuristic, node):
     col, row, heading, side = node
     cell = (row + space.origin_row) * space.cols + col + space.origin_col
-    return search.estimate(space, heuristic, (cell * space.headings + heading) * 2 + side) / 1e6
+    return estimate(space, heuristic, (cell * space.headings + heading) * 2 + side) / 1e6
 
 
 @pytest.mark.parametrize("further_um", [None, 0, 500_000])

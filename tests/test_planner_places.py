@@ -21,7 +21,7 @@ def node_at(col, row, heading, side):
 
 def test_of_all_states_each_place_takes_one_and_no_place_is_off_the_map():
     places = places_of(SPACE)
-    nodes = np.arange(len(SPACE.node_state))
+    nodes = np.arange(SPACE.nodes)
     taken = sum(takes_place(SPACE, places, int(node), 500_000) for node in nodes)
     assert taken == len(places.least_um)
     assert np.all(places.least_um == 500_000)

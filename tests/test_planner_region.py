@@ -12,7 +12,7 @@ import pytest
 from planner.api import Planner, plan_footsteps
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at, pair_pose
-from planner.searches import search
+from planner.searches.heuristic import estimate
 from planner.verify import violations
 from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model
@@ -103,9 +103,9 @@ def test_the_heuristic_toward_a_region_is_admissible_and_consistent(name):
     space, heuristic, oracle = toward.space, toward.heuristic, Oracle(grid, model, goal)
     rows = 2 * space.headings
 
-    def estimate(node):
+    def estimated_m(node):
         cell = (node[1] + space.origin_row) * space.cols + node[0] + space.origin_col
-        return search.estimate(space, heuristic, cell * rows + node[2] * 2 + node[3]) / 1e6
+        return estimate(space, heuristic, cell * rows + node[2] * 2 + node[3]) / 1e6
 
     ends = {oracle_node(space, int(node)) for node in toward.ends}
     known = oracle.costs_from(oracle.first_steps(start))
@@ -114,10 +114,10 @@ def test_the_heuristic_toward_a_region_is_admissible_and_consistent(name):
     met = 0
     for node in known:
         if node in ends:
-            assert estimate(node) <= last_m + 1e-5
+            assert estimated_m(node) <= last_m + 1e-5
             met += 1
         for cost, to in oracle.edges(node):
-            assert estimate(node) <= cost + estimate(to) + 1e-5
+            assert estimated_m(node) <= cost + estimated_m(to) + 1e-5
     assert met > 10
 
 

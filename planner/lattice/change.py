@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import Terrain
+from planner.lattice.slots import slot_of
 from planner.lattice.space import D_COL, D_ROW, UNKNOWN, Int64s, Space
 
 
@@ -43,12 +45,20 @@ def change_between(space: Space, old: Terrain, new: Terrain) -> Change | None:
 
 def over(space: Space, terrain: Terrain, change: Change) -> Space:
     """The lattice over the terrain with that change; takes the old one's arrays for its own."""
-    state = space.node_state.reshape(-1, 2 * space.headings)
-    state[change.shut], state[change.freed] = UNKNOWN, UNKNOWN
-    # Distances change far from what is near to them, and are quickly measured again.
-    space.half_clear_m.fill(0.0)
+    _forget(space, change.shut)
+    _forget(space, change.freed)
     space.pair_key.fill(0)
     return space._replace(terrain=terrain)
+
+
+@njit(cache=True)
+def _forget(space: Space, cells: Int64s) -> None:
+    """Nodes in the cells (n,) are to be checked again."""
+    rows = 2 * space.headings
+    for i in range(len(cells)):
+        for row in range(rows):
+            slot = slot_of(space.slots, cells[i] * rows + row)
+            space.node_state[slot] = UNKNOWN
 
 
 def _cells_around(space: Space, changed: NDArray[np.bool_], sight_m: float) -> Int64s:

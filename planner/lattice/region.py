@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planner.checks.collision import NO_GROUND_UM, box_free
 from planner.checks.ground import box_heights
+from planner.lattice.slots import slot_of
 from planner.lattice.space import Int64s, Space, node_free, to_grid
 
 _ROUNDING = 1e-9
@@ -86,7 +87,7 @@ def may_end_at(space: Space, node: int) -> bool:
     if len(space.node_um) == 0:
         return True
     low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
-    rise = abs(high - space.node_um[node])
+    rise = abs(high - space.node_um[slot_of(space.slots, node)])
     lowest, highest, level, _ = space.climb_um
     return low != NO_GROUND_UM and high - low <= level and rise <= min(-lowest, highest, level)
 

@@ -15,6 +15,7 @@ from numba import njit
 
 from planner.checks.collision import NEAR_M, Terrain
 from planner.checks.ground import highest_between
+from planner.lattice.slots import slot_of
 from planner.lattice.space import Space, to_grid
 
 Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
@@ -37,7 +38,8 @@ def step_climbs(space: Space, support: int, swing: int) -> bool:
 
     The space must not be flat.
     """
-    support_um, swing_um = space.node_um[support], space.node_um[swing]
+    support_um = space.node_um[slot_of(space.slots, support)]
+    swing_um = space.node_um[slot_of(space.slots, swing)]
     rise = swing_um - support_um
     if rise < space.climb_um[0] or rise > space.climb_um[1]:
         return False
@@ -51,10 +53,11 @@ def step_climbs(space: Space, support: int, swing: int) -> bool:
 @njit(cache=True)
 def first_climbs(space: Space, support: Foot, support_um: int, swing: int) -> bool:
     """As `step_climbs`, from a foot that stands anywhere."""
-    rise = space.node_um[swing] - support_um
+    swing_um = space.node_um[slot_of(space.slots, swing)]
+    rise = swing_um - support_um
     if rise < space.climb_um[0] or rise > space.climb_um[1]:
         return False
-    highest = max(support_um, space.node_um[swing]) + space.climb_um[3]
+    highest = max(support_um, swing_um) + space.climb_um[3]
     return swing_clears(space, support, node_foot(space, swing), swing & 1, highest)
 
 

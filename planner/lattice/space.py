@@ -19,6 +19,7 @@ from planner.checks.collision import Terrain, box_free, point_clearance
 from planner.checks.ground import box_heights
 from planner.lattice.layout import MICRO, StepTable
 from planner.lattice.pages import zeros
+from planner.lattice.slots import Slots, slots_for, take_slot
 from planner.model import StepModel
 
 UNKNOWN, FREE, BLOCKED = 0, 1, 2
@@ -45,8 +46,9 @@ class Space(NamedTuple):
     half widths, margins included. clearance: see `_clearance`.
     tread: half box of a foot with the margin on which the ground must be level. sole: without
     any. swing_reach_m: how far from a foot a step may pass over ground. climb_um: see `_climb`.
-    node_um: height of the ground under each node that was found free, in micrometres; (0,) where
-    the floor is flat.
+    slots: where arrays over the nodes have what is known of each. node_state (slots,): UNKNOWN,
+    FREE or BLOCKED. node_um (slots,): height of the ground under each node that was found free, in
+    micrometres; (0,) where the floor is flat. pair_key: see `pair_free`.
     """
 
     terrain: Terrain
@@ -64,14 +66,19 @@ class Space(NamedTuple):
     clearance: tuple[float, float, float]
     cos: Floats
     sin: Floats
+    slots: Slots
     node_state: NDArray[np.uint8]
-    half_clear_m: NDArray[np.float32]
     pair_key: Int64s
     tread: tuple[float, float]
     sole: tuple[float, float]
     swing_reach_m: float
     climb_um: tuple[int, int, int, int]
     node_um: NDArray[np.int32]
+
+    @property
+    def nodes(self) -> int:
+        """How many nodes there are."""
+        return self.cols * self.rows * self.headings * 2
 
 
 def build_steps(table: StepTable, cols: int) -> Int64s:
@@ -128,7 +135,7 @@ def build_space(
     low = np.floor(corners.min(axis=0)).astype(int) - rim
     high = np.ceil(corners.max(axis=0)).astype(int) + rim
     cols, rows = (int(v) for v in high - low + 1)
-    nodes = cols * rows * model.headings * 2
+    slots = slots_for(cols * rows * model.headings * 2)
     half_bins = yaw_rad + np.arange(2 * model.headings) * (np.pi / model.headings)
     return Space(
         terrain=terrain,
@@ -146,14 +153,14 @@ def build_space(
         clearance=_clearance(model),
         cos=np.cos(half_bins),
         sin=np.sin(half_bins),
-        node_state=zeros(nodes, np.uint8),
-        half_clear_m=zeros(4 * cols * rows, np.float32),
+        slots=slots,
+        node_state=zeros(slots.length, np.uint8),
         pair_key=zeros(_PAIR_SLOTS, np.int64),
         tread=_half_box(model.foot.length_m, model.foot.width_m, model.level_margin_m),
         sole=_half_box(model.foot.length_m, model.foot.width_m, 0.0),
         swing_reach_m=_swing_reach(model),
         climb_um=_climb(model),
-        node_um=zeros(0 if terrain.is_flat else nodes, np.int32),
+        node_um=zeros(0 if terrain.is_flat else slots.length, np.int32),
     )
 
 
@@ -202,22 +209,23 @@ def node_free(space: Space, node: int) -> bool:
 
     Where the floor is not flat it must also be level under the foot.
     """
-    state = space.node_state[node]
+    slot = take_slot(space.slots, node)
+    state = space.node_state[slot]
     if state == UNKNOWN:
-        state = check_node(space, node)
+        state = check_node(space, node, slot)
     return state == FREE
 
 
 @njit(cache=True)
-def check_node(space: Space, node: int) -> int:
-    """FREE or BLOCKED, which it also notes."""
-    state = FREE if _node_is_free(space, node) else BLOCKED
-    space.node_state[node] = state
+def check_node(space: Space, node: int, slot: int) -> int:
+    """FREE or BLOCKED, which it also notes in the node's slot."""
+    state = FREE if _node_is_free(space, node, slot) else BLOCKED
+    space.node_state[slot] = state
     return state
 
 
 @njit(cache=True)
-def _node_is_free(space: Space, node: int) -> bool:
+def _node_is_free(space: Space, node: int, slot: int) -> bool:
     side = node & 1
     heading = (node >> 1) % space.headings
     cell = (node >> 1) // space.headings
@@ -232,24 +240,22 @@ def _node_is_free(space: Space, node: int) -> bool:
         low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
         if high - low > space.climb_um[2]:
             return False
-        space.node_um[node] = high
+        space.node_um[slot] = high
     inward = out * space.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
     return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
 
 
 @njit(cache=True)
-def measure_half(space: Space, half: int) -> float:
-    """Clearance + 1 of a point of the grid of half cells, which it also notes.
+def half_clearance(space: Space, half: int) -> float:
+    """Clearance in metres of a point of the grid of half cells.
 
     half = row * 2 * cols + col.
     """
     width = 2 * space.cols
     row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
     x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
-    noted: float = np.float32(1.0 + point_clearance(space.terrain, x, y))  # type: ignore[assignment]
-    space.half_clear_m[half] = noted
-    return noted
+    return point_clearance(space.terrain, x, y)
 
 
 @njit(cache=True)
@@ -274,11 +280,8 @@ def pair_free(space: Space, half: int, half_heading: int) -> bool:
 @njit(cache=True)
 def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
     """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
-    clearance_m = space.half_clear_m[half] - 1.0
-    if clearance_m < 0.0:
-        clearance_m = measure_half(space, half) - 1.0
     half_l, half_w = space.body
-    if clearance_m > math.sqrt(half_l * half_l + half_w * half_w) + 1e-6:
+    if half_clearance(space, half) > math.sqrt(half_l * half_l + half_w * half_w) + 1e-6:
         return True
     return pair_free(space, half, half_heading)
 

@@ -15,6 +15,7 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.searches import search
 from planner.searches.quick import NO_WAY, QuickPath, is_cut_off, quick_path
+from planner.searches.reading import expanded_in_cells, trace
 from planner.searches.request import (
     Request,
     Result,
@@ -190,7 +191,7 @@ class Run:
             assert self._quick is not None
             nodes = self._quick.nodes
         else:
-            nodes = self.task.in_order(search.trace(self.tree, last))
+            nodes = self.task.in_order(trace(self.tree, last))
         self.least_um = int(self._best_um / self.proven)
         self._note_moment(self._best_um)
         plan = self._found(nodes, self._best_um, self._expansions)
@@ -207,7 +208,7 @@ class Run:
         if not self.options.record:
             return None
         space = self.task.space
-        done = (self.tree.round != 0).reshape(-1, 2 * space.headings).sum(axis=1)
+        done = expanded_in_cells(space, self.tree)
         cell = np.flatnonzero(done)
         x_m = (cell % space.cols - space.origin_col) * space.cell_m
         y_m = (cell // space.cols - space.origin_row) * space.cell_m

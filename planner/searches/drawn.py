@@ -26,7 +26,7 @@ from planner.estimates.spread import (
     spread_costs,
 )
 from planner.lattice.space import Int64s, Space
-from planner.searches.search import Heuristic
+from planner.searches.heuristic import Heuristic
 from planner.searches.toward import Toward, body_cells_of
 
 FURTHER_UM = 500_000

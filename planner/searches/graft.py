@@ -7,6 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.lattice.rise import step_climbs
+from planner.lattice.slots import BITS, slot_of, take_slot
 from planner.lattice.space import (
     COST_UM,
     D_HALF,
@@ -14,11 +15,13 @@ from planner.lattice.space import (
     HALF_HEADING,
     Space,
     clearance_cost,
+    half_clearance,
     node_free,
     pair_known_free,
 )
 from planner.searches import search
-from planner.searches.search import BUCKETS, NO_COST, Heuristic, Tree
+from planner.searches.heuristic import Heuristic, estimate
+from planner.searches.search import BUCKETS, NO_COST, Tree
 
 _NOT_ALLOWED = -1
 
@@ -29,7 +32,7 @@ def find_best(tree: Tree) -> None:
     scalars = tree.scalars
     scalars[search.BEST_UM], scalars[search.BEST_NODE] = NO_COST, 0
     for i in range(len(tree.goals)):
-        known = np.int64(tree.cost_um[tree.goals[i]])
+        known = np.int64(tree.cost_um[slot_of(tree.slots, tree.goals[i])])
         if known != 0 and known + tree.goal_um[i] < scalars[search.BEST_UM]:
             scalars[search.BEST_UM] = known + tree.goal_um[i]
             scalars[search.BEST_NODE] = tree.goals[i]
@@ -40,7 +43,7 @@ def shift_um(space: Space, heuristic: Heuristic, tree: Tree) -> int:
     """By how much a heuristic must be lowered to hold for the first steps that are the goals."""
     shift = -NO_COST
     for i in range(len(tree.goals)):
-        value = search.estimate(space, heuristic, tree.goals[i]) - tree.goal_um[i]
+        value = estimate(space, heuristic, tree.goals[i]) - tree.goal_um[i]
         shift = max(shift, value)
     return shift
 
@@ -62,7 +65,7 @@ def step_um(space: Space, tree: Tree, node: int, to: int) -> int:
             support, swing = (to, node) if tree.is_backward else (node, to)
             if not step_climbs(space, support, swing):
                 return _NOT_ALLOWED
-        extra = clearance_cost(space, space.half_clear_m[half] - 1.0)
+        extra = clearance_cost(space, half_clearance(space, half))
         return steps[row, k, COST_UM] + extra
     return _NOT_ALLOWED
 
@@ -75,11 +78,12 @@ def graft(space: Space, tree: Tree, nodes: NDArray[np.int64]) -> None:
     """
     for i in range(len(nodes) - 1, 0, -1):
         node, to = nodes[i], nodes[i - 1]
-        cost = np.int64(tree.cost_um[node]) + step_um(space, tree, node, to)
-        known = np.int64(tree.cost_um[to])
+        cost = np.int64(tree.cost_um[slot_of(tree.slots, node)]) + step_um(space, tree, node, to)
+        slot = take_slot(tree.slots, to)
+        known = np.int64(tree.cost_um[slot])
         if known == 0 or cost < known:
-            tree.cost_um[to] = cost
-            tree.before[to] = node
+            tree.cost_um[slot] = cost
+            tree.before[slot] = node
             search.put(tree, to, BUCKETS)
 
 
@@ -96,20 +100,22 @@ def renew(tree: Tree) -> None:
         while entry >= 0:
             node = tree.entry_node[entry]
             entry = tree.entry_next[entry]
-            closed = bucket < BUCKETS and tree.round[node] == done
-            if not closed and tree.cost_um[node] != 0:
+            slot = slot_of(tree.slots, node)
+            closed = bucket < BUCKETS and tree.round[slot] == done
+            if not closed and tree.cost_um[slot] != 0:
                 kept[number] = node
                 number += 1
-    tree.round[:] = 0
+    tree.round[: tree.slots.used[0] + 1 << BITS] = 0
     scalars[search.ROUND] = 0
     scalars[search.USED] = 0
     scalars[search.CURSOR] = BUCKETS
     for i in range(number):
-        if tree.round[kept[i]] == 0:
-            tree.round[kept[i]] = 1
+        slot = slot_of(tree.slots, kept[i])
+        if tree.round[slot] == 0:
+            tree.round[slot] = 1
             search.put(tree, kept[i], BUCKETS)
     for i in range(number):
-        tree.round[kept[i]] = 0
+        tree.round[slot_of(tree.slots, kept[i])] = 0
 
 
 @njit(cache=True)

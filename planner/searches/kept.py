@@ -24,9 +24,11 @@ from planner.lattice.space import Int64s, Space, turned_round
 from planner.searches import search
 from planner.searches.drawn import FURTHER_UM, heuristic_on_the_way
 from planner.searches.graft import find_best, graft, renew, reopen, shift_um
+from planner.searches.heuristic import Heuristic, estimates
 from planner.searches.mend import border, cut
+from planner.searches.reading import costs_of, trace
 from planner.searches.request import Request
-from planner.searches.search import NO_COST, Heuristic
+from planner.searches.search import NO_COST
 from planner.searches.task import Task, heuristic_toward_start, new_tree
 from planner.searches.toward import body_cells_of
 
@@ -99,7 +101,7 @@ class KeptTree:
 
     def plan(self) -> Int64s:
         """Nodes (n,) of the best plan from the start that was looked at, but for its last."""
-        return np.array(search.trace(self.tree, int(self.tree.scalars[search.BEST_NODE]))[::-1])
+        return trace(self.tree, int(self.tree.scalars[search.BEST_NODE]))[::-1].copy()
 
     def task(self, request: Request, wanted: float) -> Task:
         """The search that goes on from the tree to the start that was looked at.
@@ -139,8 +141,10 @@ class KeptTree:
             # Ways that the heuristic knows nothing of may be shorter than what it says.
             self.heuristic, self._ahead, self.open_um = None, None, 0
         elif self.heuristic is not None and len(again):
-            values_um = search.estimates(space, self.heuristic, again.astype(np.int64))
-            self.open_um = min(self.open_um, int((self.tree.cost_um[again] + values_um).min()))
+            nodes = again.astype(np.int64)
+            values_um = estimates(space, self.heuristic, nodes)
+            least_um = int((costs_of(self.tree, nodes) + values_um).min())
+            self.open_um = min(self.open_um, least_um)
 
     def _make_room(self, entries: int) -> None:
         while self.tree.scalars[search.USED] + entries > len(self.tree.entry_node):
@@ -148,7 +152,7 @@ class KeptTree:
 
 
 def _least(request: Request, heuristic: Heuristic, nodes: Int64s, costs_um: Int64s) -> int:
-    return int((costs_um + search.estimates(request.space, heuristic, nodes)).min())
+    return int((costs_um + estimates(request.space, heuristic, nodes)).min())
 
 
 def _least_by_path(request: Request, heuristic: Heuristic, nodes: Int64s, costs_um: Int64s) -> int:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from planner.estimates.spread import EVERYWHERE, NO_CELLS, NOT_DRAWN, moves_of, spread_costs
 from planner.lattice.space import Int64s
 from planner.searches import search
-from planner.searches.search import Heuristic
+from planner.searches.heuristic import Heuristic
+from planner.searches.reading import costs_of, trace
 from planner.searches.task import Task
 from planner.searches.toward import Toward
 
@@ -51,7 +52,7 @@ def target_around(toward: Toward, cells: Int64s) -> Target:
     rows = 2 * toward.space.headings
     row = np.arange(rows)
     nodes = ((cells[:, None] - toward.body_cell[row]) * rows + row).reshape(-1)
-    nodes = np.sort(nodes[(nodes >= 0) & (nodes < len(toward.space.node_state))])
+    nodes = np.sort(nodes[(nodes >= 0) & (nodes < toward.space.nodes)])
     potential_um = toward.tables.potential.potential_um.reshape(-1)
     node_um = potential_um[nodes % rows] - potential_um.min()
     return Target(cells=cells, nodes=nodes, node_um=node_um, is_goal=False)
@@ -101,8 +102,8 @@ def search_to(
     last, expansions = int(scalars[search.BEST_NODE]), int(scalars[search.EXPANSIONS])
     if scalars[search.BEST_UM] >= best_um or last == 0:
         return Found(nodes=np.zeros(0, np.int64), cost_um=0, expansions=expansions)
-    way = np.array(search.trace(tree, last))
-    return Found(nodes=way, cost_um=int(tree.cost_um[last]), expansions=expansions)
+    way = trace(tree, last)
+    return Found(nodes=way, cost_um=int(costs_of(tree, way[-1:])[0]), expansions=expansions)
 
 
 def _heuristic(

@@ -12,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planner.lattice.region import may_end_at
+from planner.lattice.slots import slot_of
 from planner.lattice.space import COST_UM, D_NODE, Space, node_free
 from planner.searches.graft import step_um
 from planner.searches.search import FROM_START, Tree
@@ -29,13 +30,14 @@ def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
     for i in range(len(cells)):
         for row in range(rows):
             node: int = cells[i] * rows + row
-            known: int = np.int64(tree.cost_um[node])  # type: ignore[assignment]
+            slot = slot_of(tree.slots, node)
+            known: int = np.int64(tree.cost_um[slot])  # type: ignore[assignment]
             if known == 0 or _stands(space, tree, node, known):
                 continue
             removed = _with_room(removed, number)
             removed[number] = node
             number += 1
-            tree.cost_um[node] = 0
+            tree.cost_um[slot] = 0
     done = 0
     while done < number:
         node = np.int64(removed[done])  # type: ignore[assignment]
@@ -43,13 +45,14 @@ def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
         row = node % rows
         for k in range(tree.steps.shape[1]):
             to = node + tree.steps[row, k, D_NODE]
-            if tree.steps[row, k, COST_UM] == 0 or tree.cost_um[to] == 0:
+            slot = slot_of(tree.slots, to)
+            if tree.steps[row, k, COST_UM] == 0 or tree.cost_um[slot] == 0:
                 continue
-            if tree.before[to] == node:
+            if tree.before[slot] == node:
                 removed = _with_room(removed, number)
                 removed[number] = to
                 number += 1
-                tree.cost_um[to] = 0
+                tree.cost_um[slot] = 0
     return removed[:number]
 
 
@@ -59,13 +62,15 @@ def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
 
     That one may have been cut off itself, and the node then follows it.
     """
-    before: int = np.int64(tree.before[node])  # type: ignore[assignment]
+    slot = slot_of(tree.slots, node)
+    before: int = np.int64(tree.before[slot])  # type: ignore[assignment]
     if before == FROM_START:
         return may_end_at(space, node)
-    if tree.cost_um[before] == 0:
+    cost_before_um = tree.cost_um[slot_of(tree.slots, before)]
+    if cost_before_um == 0:
         return True
     cost = step_um(space, tree, before, node)
-    return cost >= 0 and tree.cost_um[before] + cost <= known
+    return cost >= 0 and cost_before_um + cost <= known
 
 
 @njit(cache=True)
@@ -90,37 +95,39 @@ def border(
         # The tree grows from the goal, so the steps of the robot lead back in it.
         for k in range(steps.shape[1]):
             near = node + steps[row, k, D_NODE]
-            if steps[row, k, COST_UM] == 0 or tree.cost_um[near] == 0 or tree.round[near] == _MARK:
+            slot = slot_of(tree.slots, near)
+            if steps[row, k, COST_UM] == 0 or tree.cost_um[slot] == 0 or tree.round[slot] == _MARK:
                 continue
-            tree.round[near] = _MARK
+            tree.round[slot] = _MARK
             found = _with_room(found, number)
             found[number] = near
             number += 1
     for i in range(len(cells)):
         for row in range(rows):
             node = cells[i] * rows + row
-            if tree.cost_um[node] == 0 or tree.round[node] == _MARK:
+            slot = slot_of(tree.slots, node)
+            if tree.cost_um[slot] == 0 or tree.round[slot] == _MARK:
                 continue
-            if _may_lower(space, tree, node):
-                tree.round[node] = _MARK
+            if _may_lower(space, tree, node, tree.cost_um[slot]):
+                tree.round[slot] = _MARK
                 found = _with_room(found, number)
                 found[number] = node
                 number += 1
     for i in range(number):
-        tree.round[found[i]] = 0
+        tree.round[slot_of(tree.slots, found[i])] = 0
     return found[:number]
 
 
 @njit(cache=True)
-def _may_lower(space: Space, tree: Tree, node: int) -> bool:
+def _may_lower(space: Space, tree: Tree, node: int, cost_um: int) -> bool:
     """Whether a step from a node would come to a free one that is not known, or is for less."""
     row = node % (2 * space.headings)
     for k in range(tree.steps.shape[1]):
         if tree.steps[row, k, COST_UM] == 0:
             continue
         to = node + tree.steps[row, k, D_NODE]
-        old = np.int64(tree.cost_um[to])
-        is_lower = old == 0 or tree.cost_um[node] + tree.steps[row, k, COST_UM] < old
+        old = np.int64(tree.cost_um[slot_of(tree.slots, to)])
+        is_lower = old == 0 or cost_um + tree.steps[row, k, COST_UM] < old
         if is_lower and node_free(space, to):
             return True
     return False

@@ -20,9 +20,10 @@ from planner.lattice.pages import zeros
 from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
 from planner.searches import search
+from planner.searches.heuristic import Heuristic
 from planner.searches.places import EVERY_STATE, places_of
+from planner.searches.reading import trace
 from planner.searches.request import Request
-from planner.searches.search import Heuristic
 from planner.searches.task import Task
 from planner.searches.toward import body_cells_of
 
@@ -103,7 +104,7 @@ def quick_path(
         expansions += int(tree.scalars[search.EXPANSIONS])
         if tree.scalars[search.BEST_UM] < search.NO_COST:
             return QuickPath(
-                nodes=task.in_order(search.trace(tree, int(tree.scalars[search.BEST_NODE]))),
+                nodes=task.in_order(trace(tree, int(tree.scalars[search.BEST_NODE]))),
                 cost_um=int(tree.scalars[search.BEST_UM]),
                 least_um=int(bounds_um.min()),
                 expansions=expansions,

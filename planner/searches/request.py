@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from planner.lattice.connect import first_steps
 from planner.lattice.layout import MICRO
 from planner.lattice.region import beside, height_beside
+from planner.lattice.slots import slots_of
 from planner.lattice.space import Space
 from planner.model import Side, StepModel
 from planner.plan import PlanStatus
-from planner.searches.search import Heuristic
+from planner.searches.heuristic import Heuristic
 from planner.searches.toward import Toward
 
 FloatArray = NDArray[np.float64]
@@ -154,7 +155,9 @@ def found(
     )
     yaw_rad = heading * (2 * np.pi / space.headings)
     poses = np.column_stack([position, yaw_rad])
-    height_um = space.node_um[nodes] if len(space.node_um) else np.zeros(len(nodes))
+    height_um = np.zeros(len(nodes))
+    if len(space.node_um):
+        height_um = space.node_um[slots_of(space.slots, nodes)].astype(np.float64)
     return Result(
         status=PlanStatus.FOUND,
         side=np.append(side, 1 - side[-1]),

@@ -18,8 +18,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planner.checks.collision import clearance_at
 from planner.estimates.exits import exit_bound
 from planner.lattice.rise import step_climbs
+from planner.lattice.slots import BITS, LOW, Slots, next_block, slot_of, take_slot
 from planner.lattice.space import (
     BLOCKED,
     COST_UM,
@@ -34,9 +36,9 @@ from planner.lattice.space import (
     Space,
     check_node,
     clearance_cost,
-    measure_half,
     pair_free,
 )
+from planner.searches.heuristic import Heuristic, estimate
 from planner.searches.places import Places, takes_place
 
 BUCKETS = 1 << 13
@@ -53,31 +55,13 @@ NO_COST = (1 << 31) - 1
 _NO_KEY = 1 << 40
 
 
-class Heuristic(NamedTuple):
-    """The heuristic as the search reads it: see `guide.py`, `endgame.py` and `exits.py`.
-
-    detour_um (cells, SECTORS): filled in as the search goes on.
-    """
-
-    cost_um: NDArray[np.int32]
-    frontier_um: int
-    body_cell: NDArray[np.int64]
-    potential_um: NDArray[np.int64]
-    endgame_um: NDArray[np.int32]
-    cap_um: int
-    turn_um: NDArray[np.int64]
-    detour_um: NDArray[np.int32]
-    rim: NDArray[np.int64]
-    radius_cells: int
-
-
 class Tree(NamedTuple):
     """State of a search, kept between calls of `expand`.
 
     steps: `Space.steps` for a search from the start; for one from the goal the same turned round,
-    and `is_backward`. cost_um (nodes,): cost from the roots, 0 where none is known. before
-    (nodes,): the node that this one was reached from, FROM_START for a root. round (nodes,):
-    number of the search that expanded the node. entry_node, entry_next: stacks of the buckets;
+    and `is_backward`. slots: those of the space; kept there are cost_um: cost of a node from the
+    roots, 0 where none is known; before: the node that it was reached from, FROM_START for a root;
+    round: number of the search that expanded it. entry_node, entry_next: stacks of the buckets;
     head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
     plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
     scalars[SLACK_UM]: states are kept that cost up to so much more than the best plan; 0 for a tree
@@ -87,6 +71,7 @@ class Tree(NamedTuple):
     steps: NDArray[np.int64]
     is_backward: bool
 
+    slots: Slots
     cost_um: NDArray[np.int32]
     before: NDArray[np.int32]
     round: NDArray[np.uint8]
@@ -97,43 +82,6 @@ class Tree(NamedTuple):
     goal_um: NDArray[np.int64]
     scalars: NDArray[np.int64]
     places: Places
-
-
-@njit(cache=True)
-def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
-    """Cost in micrometres that no way from a node to the end of a plan falls below."""
-    row, cell = node % (2 * space.headings), node // (2 * space.headings)
-    body = cell + heuristic.body_cell[row]
-    path = heuristic.cost_um[body] - 1
-    if path < 0 or path > heuristic.frontier_um:
-        path = heuristic.frontier_um
-    endgame_um = heuristic.endgame_um
-    reach = len(endgame_um) // 2
-    col = cell % space.cols - space.origin_col + reach
-    up = cell // space.cols - space.origin_row + reach
-    exact = heuristic.cap_um
-    if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
-        exact = endgame_um[up, col, row]
-    least = exit_bound(
-        heuristic.detour_um,
-        heuristic.turn_um,
-        heuristic.cost_um,
-        heuristic.frontier_um,
-        heuristic.rim,
-        (heuristic.radius_cells, space.cols, space.origin_col, space.origin_row),
-        body,
-        row,
-    )
-    return max(path + heuristic.potential_um[row], exact, least)
-
-
-@njit(cache=True)
-def estimates(space: Space, heuristic: Heuristic, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
-    """`estimate` of nodes (n,)."""
-    values_um = np.empty(len(nodes), np.int64)
-    for i in range(len(nodes)):
-        values_um[i] = estimate(space, heuristic, nodes[i])
-    return values_um
 
 
 @njit(cache=True)
@@ -160,10 +108,11 @@ def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> N
     """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
     for i in range(len(nodes)):
         node, cost = nodes[i], costs_um[i]
-        old = tree.cost_um[node]
+        slot = take_slot(tree.slots, node)
+        old = tree.cost_um[slot]
         if old == 0 or cost < old:
-            tree.cost_um[node] = cost
-            tree.before[node] = FROM_START
+            tree.cost_um[slot] = cost
+            tree.before[slot] = FROM_START
             put(tree, node, BUCKETS)
             _offer(tree, node, cost)
 
@@ -199,7 +148,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     queued = 128 + scalars[ROUND]
     limit_um = _limit_um(scalars)
     nodes = np.empty(scalars[USED], np.int64)
-    values_um = np.empty(scalars[USED], np.int64)
+    costs_um, values_um = np.empty_like(nodes), np.empty_like(nodes)
     number = 0
     for bucket in range(BUCKETS + 1):
         entry = tree.head[bucket]
@@ -207,20 +156,21 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
         while entry >= 0:
             node = tree.entry_node[entry]
             entry = tree.entry_next[entry]
-            stale = bucket < BUCKETS and tree.round[node] == scalars[ROUND] - 1
-            if stale or tree.round[node] == queued:
+            slot = slot_of(space.slots, node)
+            stale = bucket < BUCKETS and tree.round[slot] == scalars[ROUND] - 1
+            if stale or tree.round[slot] == queued:
                 continue
             value = estimate(space, heuristic, node)
-            if tree.cost_um[node] + value >= limit_um:
+            if tree.cost_um[slot] + value >= limit_um:
                 continue
-            tree.round[node] = queued
-            nodes[number], values_um[number] = node, value
+            tree.round[slot] = queued
+            nodes[number], costs_um[number], values_um[number] = node, tree.cost_um[slot], value
             number += 1
     scalars[USED] = 0
     scalars[CURSOR] = BUCKETS
     least, low, high = _NO_KEY, _NO_KEY, 0
     for i in range(number):
-        value, cost = values_um[i], tree.cost_um[nodes[i]]
+        value, cost = values_um[i], costs_um[i]
         least = min(least, cost + value)
         low = min(low, cost + int(epsilon * value))
         high = max(high, cost + int(epsilon * value))
@@ -231,7 +181,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     while (span >> scalars[SHIFT]) >= BUCKETS - 1:
         scalars[SHIFT] += 1
     for i in range(number - 1, -1, -1):
-        _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * values_um[i]))
+        _push(tree, nodes[i], costs_um[i] + int(epsilon * values_um[i]))
     return least
 
 
@@ -239,6 +189,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
 def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
     """Expands states until this round's search is over, the plan improves or budget is spent."""
     scalars, head, rounds = tree.scalars, tree.head, tree.round
+    of_block = space.slots.of_block
     entry_node, entry_next = tree.entry_node, tree.entry_next
     limit = scalars[EXPANSIONS] + budget
     room = len(entry_node) - tree.steps.shape[1] - 1
@@ -262,15 +213,17 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
         entry = head[cursor]
         node: int = np.int64(entry_node[entry])  # type: ignore[assignment]
         head[cursor] = entry_next[entry]
-        if rounds[node] == scalars[ROUND]:
+        block: int = np.int64(of_block[node >> BITS])  # type: ignore[assignment]
+        slot = block << BITS | node & LOW
+        if rounds[slot] == scalars[ROUND]:
             continue
-        rounds[node] = scalars[ROUND]
+        rounds[slot] = scalars[ROUND]
         if len(tree.places.least_um) > 0:
             value = estimate(space, heuristic, node)
             if not takes_place(space, tree.places, node, value):
                 continue
         scalars[EXPANSIONS] += 1
-        if _expand_node(space, heuristic, tree, epsilon, node):
+        if _expand_node(space, heuristic, tree, epsilon, node, slot):
             return IMPROVED
         cursor = scalars[CURSOR]
 
@@ -296,19 +249,25 @@ def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> No
     scalars[CURSOR] = BUCKETS
     scalars[SHIFT] += 1
     for i in range(ends[1] - 1, -1, -1):
-        if tree.round[nodes[i]] != scalars[ROUND]:
+        slot = slot_of(space.slots, nodes[i])
+        if tree.round[slot] != scalars[ROUND]:
             value = estimate(space, heuristic, nodes[i])
-            _push(tree, nodes[i], tree.cost_um[nodes[i]] + int(epsilon * value))
+            _push(tree, nodes[i], tree.cost_um[slot] + int(epsilon * value))
     for i in range(ends[2] - 1, ends[1] - 1, -1):
         put(tree, nodes[i], BUCKETS)
 
 
 @njit(cache=True)
-def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, node: int) -> bool:
-    """Relaxes all steps from a node; whether a better plan came of it."""
+def _expand_node(
+    space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, node: int, slot: int
+) -> bool:
+    """Relaxes all steps from a node in a slot; whether a better plan came of it."""
     # Arrays in local names: taken from the tuples in the loop they cost more than the loop itself.
     scalars, cost_um, rounds = tree.scalars, tree.cost_um, tree.round
-    steps, node_state, half_clear_m = tree.steps, space.node_state, space.half_clear_m
+    steps, node_state, before = tree.steps, space.node_state, tree.before
+    of_block, used = space.slots.of_block, space.slots.used
+    clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
+    (ox, oy, cos, sin), half_m = space.frame, 0.5 * space.cell_m
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
     endgame_um = heuristic.endgame_um
@@ -316,13 +275,14 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
     circle = heuristic.radius_cells, space.cols, space.origin_col, space.origin_row
     body_radius_m = np.sqrt(space.body[0] ** 2 + space.body[1] ** 2) + 1e-6
     round_now = scalars[ROUND]
-    here = np.int64(cost_um[node])
-    row = node % (2 * space.headings)
+    here = np.int64(cost_um[slot])
     cell = node // (2 * space.headings)
-    half_base = cell // space.cols * 4 * space.cols + cell % space.cols * 2
+    row = node - cell * 2 * space.headings
+    up = cell // space.cols
+    across = cell - up * space.cols
+    half_base = up * 4 * space.cols + across * 2
+    across, up = across - space.origin_col, up - space.origin_row
     reach = len(endgame_um) // 2
-    near_col = cell % space.cols - space.origin_col + reach
-    near_row = cell // space.cols - space.origin_row + reach
     uneven = len(space.node_um) > 0
     improved, limit_um = False, _limit_um(scalars)
     for k in range(steps.shape[1]):
@@ -330,12 +290,16 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
             continue
         to = node + steps[row, k, D_NODE]
         cost = here + steps[row, k, COST_UM]
-        old = np.int64(cost_um[to])
+        block: int = np.int64(of_block[to >> BITS])  # type: ignore[assignment]
+        if block == 0:
+            block = next_block(of_block, used, to)
+        at = block << BITS | to & LOW
+        old = np.int64(cost_um[at])
         if old != 0 and cost >= old:
             continue
-        state = node_state[to]
+        state = node_state[at]
         if state == UNKNOWN:
-            state = check_node(space, to)
+            state = check_node(space, to, at)
         if state == BLOCKED:
             continue
         to_row = steps[row, k, TO_ROW]
@@ -344,9 +308,10 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
         if path < 0 or path > frontier_um:
             path = frontier_um
         value = path + potential_um[to_row]
-        col, up = near_col + steps[row, k, D_COL], near_row + steps[row, k, D_ROW]
-        if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
-            value = max(value, endgame_um[up, col, to_row])
+        d_col, d_row = steps[row, k, D_COL], steps[row, k, D_ROW]
+        if abs(across + d_col) <= reach and abs(up + d_row) <= reach:
+            exact = endgame_um[up + d_row + reach, across + d_col + reach, to_row]
+            value = max(value, exact)
         else:
             value = max(value, heuristic.cap_um)
         if cost + value >= limit_um:
@@ -356,28 +321,29 @@ def _expand_node(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float,
         )
         if cost + value >= limit_um:
             continue
-        half = half_base + steps[row, k, D_HALF]
-        clearance_m = half_clear_m[half] - 1.0
-        if clearance_m < 0.0:
-            clearance_m = measure_half(space, half) - 1.0
-        if clearance_m <= body_radius_m and not pair_free(space, half, steps[row, k, HALF_HEADING]):
-            continue
+        x, y = (2 * across + d_col) * half_m, (2 * up + d_row) * half_m
+        x, y = ox + cos * x - sin * y, oy + sin * x + cos * y
+        clear_m = clearance_at(clearance_m, size_m, x, y)
+        if clear_m <= body_radius_m:
+            half = half_base + steps[row, k, D_HALF]
+            if not pair_free(space, half, steps[row, k, HALF_HEADING]):
+                continue
         if uneven:
             support, swing = (to, node) if tree.is_backward else (node, to)
             if not step_climbs(space, support, swing):
                 continue
-        if clearance_m < space.clearance[0]:
-            cost += clearance_cost(space, clearance_m)
+        if clear_m < space.clearance[0]:
+            cost += clearance_cost(space, clear_m)
             if (old != 0 and cost >= old) or cost + value >= limit_um:
                 continue
-        cost_um[to] = cost
-        tree.before[to] = node
+        cost_um[at] = cost
+        before[at] = node
         if _offer(tree, to, cost):
             improved, limit_um = True, _limit_um(scalars)
-        if rounds[to] != round_now:
+        if rounds[at] != round_now:
             _push(tree, to, cost + int(epsilon * value))
         elif epsilon == 1.0:
-            rounds[to] = 0
+            rounds[at] = 0
             _push(tree, to, cost + value)
         else:
             put(tree, to, BUCKETS)
@@ -390,11 +356,3 @@ def with_more_entries(tree: Tree) -> Tree:
         entry_node=np.append(tree.entry_node, np.empty_like(tree.entry_node)),
         entry_next=np.append(tree.entry_next, np.empty_like(tree.entry_next)),
     )
-
-
-def trace(tree: Tree, node: int) -> list[int]:
-    """Nodes from a root to a node, both included."""
-    path = [node]
-    while tree.before[path[-1]] != FROM_START:
-        path.append(int(tree.before[path[-1]]))
-    return path[::-1]

@@ -12,9 +12,10 @@ from planner.lattice.pages import zeros
 from planner.lattice.space import Int64s, Space, turned_round
 from planner.searches import search
 from planner.searches.drawn import draw_path
+from planner.searches.heuristic import Heuristic, estimates
 from planner.searches.places import EVERY_STATE
 from planner.searches.request import Request
-from planner.searches.search import Heuristic, Tree
+from planner.searches.search import Tree
 from planner.searches.toward import body_cells_of
 
 _ENTRIES = 1 << 16  # at first; a search that needs more doubles them
@@ -50,22 +51,23 @@ class Task:
         cells = self.roots // (2 * self.space.headings) + self.heuristic.body_cell[rows]
         return len(self.goals) > 0 and bool(np.any(self.heuristic.cost_um[cells] > 0))
 
-    def in_order(self, path: list[int]) -> Int64s:
+    def in_order(self, path: Int64s) -> Int64s:
         """Nodes of a path from a root to a goal in the order of the steps."""
-        return np.array(path[::-1] if self.is_backward else path, np.int64)
+        return path[::-1].copy() if self.is_backward else path
 
 
 def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
     """A tree with neither roots nor goals."""
-    nodes = space.cols * space.rows * space.headings * 2
+    length = space.slots.length
     scalars = np.zeros(search.SCALARS, np.int64)
     scalars[search.BEST_UM] = search.NO_COST
     return Tree(
         steps=steps,
         is_backward=is_backward,
-        cost_um=zeros(nodes, np.int32),
-        before=zeros(nodes, np.int32),
-        round=zeros(nodes, np.uint8),
+        slots=space.slots,
+        cost_um=zeros(length, np.int32),
+        before=zeros(length, np.int32),
+        round=zeros(length, np.uint8),
         entry_node=np.empty(_ENTRIES, np.int32),
         entry_next=np.empty(_ENTRIES, np.int32),
         head=np.full(search.BUCKETS + 1, -1, np.int32),
@@ -147,4 +149,4 @@ def heuristic_toward_start(
 
 def least_toward_goal(request: Request, nodes: Int64s, costs_um: Int64s) -> int:
     """What any plan costs at least by the heuristic toward the goal, from first steps (n,)."""
-    return int(np.min(costs_um + search.estimates(request.space, request.heuristic, nodes)))
+    return int(np.min(costs_um + estimates(request.space, request.heuristic, nodes)))

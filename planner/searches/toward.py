@@ -18,7 +18,7 @@ from planner.lattice.pages import zeros
 from planner.lattice.region import POINT, Region, ends_in
 from planner.lattice.space import Int64s, Space
 from planner.model import StepModel
-from planner.searches.search import Heuristic
+from planner.searches.heuristic import Heuristic
 from planner.searches.toward_region import heuristic_toward_region
 
 

@@ -14,7 +14,7 @@ from planner.lattice.pages import zeros
 from planner.lattice.region import Region
 from planner.lattice.space import Int64s, Space
 from planner.model import StepModel
-from planner.searches.search import Heuristic
+from planner.searches.heuristic import Heuristic
 
 
 def heuristic_toward_region(

@@ -1,0 +1,67 @@
+"""The heuristic as searches read it, compiled: see `guide.py`, `endgame.py` and `exits.py`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planner.estimates.exits import exit_bound
+from planner.lattice.space import Space
+
+
+class Heuristic(NamedTuple):
+    """Arrays of a heuristic, made for one lattice and one end.
+
+    detour_um (cells, SECTORS): filled in as the search goes on.
+    """
+
+    cost_um: NDArray[np.int32]
+    frontier_um: int
+    body_cell: NDArray[np.int64]
+    potential_um: NDArray[np.int64]
+    endgame_um: NDArray[np.int32]
+    cap_um: int
+    turn_um: NDArray[np.int64]
+    detour_um: NDArray[np.int32]
+    rim: NDArray[np.int64]
+    radius_cells: int
+
+
+@njit(cache=True)
+def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
+    """Cost in micrometres that no way from a node to the end of a plan falls below."""
+    row, cell = node % (2 * space.headings), node // (2 * space.headings)
+    body = cell + heuristic.body_cell[row]
+    path = heuristic.cost_um[body] - 1
+    if path < 0 or path > heuristic.frontier_um:
+        path = heuristic.frontier_um
+    endgame_um = heuristic.endgame_um
+    reach = len(endgame_um) // 2
+    col = cell % space.cols - space.origin_col + reach
+    up = cell // space.cols - space.origin_row + reach
+    exact = heuristic.cap_um
+    if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
+        exact = endgame_um[up, col, row]
+    least = exit_bound(
+        heuristic.detour_um,
+        heuristic.turn_um,
+        heuristic.cost_um,
+        heuristic.frontier_um,
+        heuristic.rim,
+        (heuristic.radius_cells, space.cols, space.origin_col, space.origin_row),
+        body,
+        row,
+    )
+    return max(path + heuristic.potential_um[row], exact, least)
+
+
+@njit(cache=True)
+def estimates(space: Space, heuristic: Heuristic, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """`estimate` of nodes (n,)."""
+    values_um = np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        values_um[i] = estimate(space, heuristic, nodes[i])
+    return values_um
