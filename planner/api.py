@@ -21,6 +21,7 @@ from planner.model import Side, StepModel
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
 from planner.refinement.refine import refine
+from planner.searches.coarse import coarse_model
 from planner.searches.request import Request, Result, SearchRecord
 from planner.searches.toward import Toward
 from planner.verify import violations
@@ -54,6 +55,7 @@ class Planner:
         self.options = options or PlannerOptions()
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
         self._tables = tables_of(model)
+        self._coarse = coarse_model(model)
         reach = self.options.goal_reach_m, self.options.goal_reach_rad
         # Planners of a path of the body know of no other end than the goal itself.
         self._region = Region() if self.options.name in SAMPLING_PLANNERS else Region(*reach)
@@ -184,11 +186,14 @@ class Planner:
     def _toward_goal(self, goal: Pose) -> Toward:
         """What searches to that goal share, kept until there is another."""
         if self._toward is None or self._toward[0] != goal:
-            tables = self._tables
-            space = build_space(self.grid, self._terrain, self.model, tables.steps, goal)
-            toward = Toward(space=space, model=self.model, tables=tables, region=self._region)
-            self._toward = goal, toward
+            coarse = None if self._coarse is None else self._laid_out(goal, self._coarse)
+            self._toward = goal, replace(self._laid_out(goal, self.model), coarse=coarse)
         return self._toward[1]
+
+    def _laid_out(self, goal: Pose, model: StepModel) -> Toward:
+        tables = tables_of(model)
+        space = build_space(self.grid, self._terrain, model, tables.steps, goal)
+        return Toward(space=space, model=model, tables=tables, region=self._region)
 
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
         request = Request(

@@ -14,6 +14,7 @@ from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.searches import search
+from planner.searches.coarse import least_straight, on_coarse, on_fine
 from planner.searches.quick import NO_WAY, QuickPath, is_cut_off, quick_path
 from planner.searches.reading import expanded_in_cells, trace
 from planner.searches.request import (
@@ -30,6 +31,7 @@ from planner.searches.search import Tree
 from planner.searches.task import Task, backward_task, forward_task, least_toward_goal
 
 _QUICK = -1  # in place of a node: the plan that was found before the search proper
+_COARSE = 300_000  # expansions on a coarse lattice, whose plan helps the search of the fine one
 _BUDGET = 4096  # expansions between two looks at the clock
 # A search that has no plan after so many expansions takes turns with the floods from start and
 # goal, which may find that there is none: so many expansions against so many nodes of each flood,
@@ -46,7 +48,11 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
     if not len(nodes):
         return no_first_step(request)
     run = Run(request, options, began)
-    quick = quick_plan(request, nodes, costs_um, options)
+    quick = plan_on_coarse(request, nodes, costs_um, options, began)
+    if quick is not None:
+        run.options = replace(options, epsilon=1.0)  # only the proof is missing
+    else:
+        quick = quick_plan(request, nodes, costs_um, options)
     if quick is NO_WAY:
         return no_way()
     if quick is not None:
@@ -54,6 +60,41 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
         if options.stop_at_first or run.proven <= options.final_epsilon:
             return run.quick_result()
     return run.result(forward_task(request, nodes, costs_um))
+
+
+def plan_on_coarse(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions, began: float
+) -> QuickPath | None:
+    """A plan of the coarse lattice, improved there; None where there is none, or no such lattice.
+
+    nodes (n,), costs_um (n,): first steps on the fine lattice.
+    """
+    coarse = on_coarse(request)
+    if coarse is None:
+        return None
+    starts, starts_um = first_nodes(coarse)
+    if not len(starts):
+        return None
+    quick = quick_plan(coarse, starts, starts_um, options)
+    if quick is NO_WAY or (quick is None and options.stop_at_first):
+        return None
+    if not options.stop_at_first:
+        run = Run(coarse, replace(options, max_expansions=_COARSE, record=False), began)
+        if quick is not None:
+            run.take(quick)
+        run.result(forward_task(coarse, starts, starts_um))
+        quick = run.best()
+    if quick is None:
+        return None
+    if request.toward.region.is_point:
+        least_um = least_straight(request, nodes, costs_um)
+    else:
+        least_um = least_toward_goal(request, nodes, costs_um)
+    return replace(
+        quick,
+        nodes=on_fine(coarse.space, request.space, quick.nodes),
+        least_um=min(quick.cost_um, least_um),
+    )
 
 
 def quick_plan(
@@ -186,16 +227,28 @@ class Run:
 
     def _best_plan(self) -> Result:
         self._tighten_bound()
+        self.least_um = int(self._best_um / self.proven)
+        self._note_moment(self._best_um)
+        plan = self._found(self._best_nodes(), self._best_um, self._expansions)
+        return replace(plan, record=self._record())
+
+    def _best_nodes(self) -> Int64s:
         last = int(self.tree.scalars[search.BEST_NODE])
         if last == _QUICK:
             assert self._quick is not None
-            nodes = self._quick.nodes
-        else:
-            nodes = self.task.in_order(trace(self.tree, last))
-        self.least_um = int(self._best_um / self.proven)
-        self._note_moment(self._best_um)
-        plan = self._found(nodes, self._best_um, self._expansions)
-        return replace(plan, record=self._record())
+            return self._quick.nodes
+        return self.task.in_order(trace(self.tree, last))
+
+    def best(self) -> QuickPath | None:
+        """The best plan after `result`, if there is one."""
+        if self._best_um == search.NO_COST:
+            return None
+        return QuickPath(
+            nodes=self._best_nodes(),
+            cost_um=self._best_um,
+            least_um=self.least_um,
+            expansions=self._expansions,
+        )
 
     def _note_moment(self, best_um: int) -> None:
         if self.options.record:

@@ -27,6 +27,7 @@ from planner.lattice.layout import final_cost_um
 from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
 from planner.searches.ara import Run, quick_plan
+from planner.searches.coarse import least_straight
 from planner.searches.local import Found, Target, search_to, target_around
 from planner.searches.quick import NO_WAY, QuickPath
 from planner.searches.request import Request, Result, first_nodes, no_first_step, no_way
@@ -245,12 +246,4 @@ class _Sparse:
         toward = self.request.toward
         if not toward.region.is_point:
             return least_toward_goal(self.request, self.nodes, self.costs_um)
-        space, tables = toward.space, toward.tables
-        cells = body_cells_of(toward, self.nodes)
-        across = cells % space.cols - space.origin_col
-        up = cells // space.cols - space.origin_row
-        potential_um = tables.potential.potential_um.reshape(-1)
-        straight_um = straight_cost(across, up, tables.potential)
-        return int(
-            (self.costs_um + straight_um + potential_um[self.nodes % len(potential_um)]).min()
-        )
+        return least_straight(self.request, self.nodes, self.costs_um)

@@ -28,6 +28,7 @@ class Toward:
 
     memory: what a search that is asked again and again keeps for itself, by its name; it has a
     method mend(space, change) for changes of the map. region: of the poses that plans may end in.
+    coarse: the same on a coarse lattice, where the cells of this one are fine (see `coarse.py`).
     """
 
     space: Space
@@ -35,6 +36,7 @@ class Toward:
     tables: Tables
     memory: dict[str, Any] = field(default_factory=dict)
     region: Region = POINT
+    coarse: Toward | None = None
 
     @cached_property
     def heuristic(self) -> Heuristic:
@@ -72,7 +74,8 @@ class Toward:
         space = over(self.space, terrain, change)
         for kept in self.memory.values():
             kept.mend(space, change)
-        return replace(self, space=space)
+        coarse = None if self.coarse is None else self.coarse.over(terrain)
+        return replace(self, space=space, coarse=coarse)
 
     @cached_property
     def body_cell(self) -> Int64s:
