@@ -54,11 +54,15 @@ def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endga
     square = np.ones((2 * longest + 1, 2 * longest + 1), np.uint8)
     near_outside = cv2.dilate((~inside).astype(np.uint8), square) > 0
     row, col = np.nonzero(inside & near_outside)
+    # Beyond all that the table knows one cell more is enough.
+    known = inside | (cost_um.min(axis=2) < cap_um)
+    far = min(int(abs(np.argwhere(known) - reach).max()) + 1, reach)
+    middle = slice(reach - far, reach + far + 1)
     return Endgame(
-        cost_um=cost_um,
+        cost_um=cost_um[middle, middle].copy(),
         cap_um=cap_um,
         ring=np.column_stack([col - reach, row - reach, body_um[row, col]]).astype(np.int64),
-        inside=inside,
+        inside=inside[middle, middle].copy(),
     )
 
 
@@ -117,21 +121,20 @@ def _fill(
             if steps[row, k, 3] > 0:
                 width = min(width, steps[row, k, 3])
     buckets = cap_um // width + 1
-    head = np.full(buckets, -1, np.int64)
-    node_of = np.empty(1 << 16, np.int64)
-    after = np.empty(1 << 16, np.int64)
-    used = 0
+    head = np.full(buckets, -1, np.int32)
+    node_of, after = np.empty(1 << 16, np.int32), np.empty(1 << 16, np.int32)
+    used, spare = 2, -1  # entries that were looked at are used again
     middle = (size // 2 * size + size // 2) * rows
     for side in range(2):
         cost_um[middle + side] = final_um
-        node_of[used], after[used] = middle + side, head[final_um // width]
-        head[final_um // width] = used
-        used += 1
+        node_of[side], after[side] = middle + side, side - 1
+    head[final_um // width] = 1
     for bucket in range(buckets):
         entry = head[bucket]
         while entry >= 0:
-            node = node_of[entry]
-            entry = after[entry]
+            node = np.int64(node_of[entry])
+            done, entry = entry, after[entry]
+            after[done], spare = spare, done
             here = cost_um[node]
             if here // width != bucket:
                 continue
@@ -149,9 +152,12 @@ def _fill(
                 if cost >= cost_um[before]:
                     continue
                 cost_um[before] = cost
-                if used == len(node_of):
-                    node_of = np.concatenate((node_of, np.empty_like(node_of)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                node_of[used], after[used] = before, head[cost // width]
-                head[cost // width] = used
-                used += 1
+                if spare >= 0:
+                    slot, spare = spare, after[spare]
+                else:
+                    if used == len(node_of):
+                        node_of = np.concatenate((node_of, np.empty_like(node_of)))
+                        after = np.concatenate((after, np.empty_like(after)))
+                    slot, used = used, used + 1
+                node_of[slot], after[slot] = before, head[cost // width]
+                head[cost // width] = slot

@@ -8,10 +8,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planner.checks.collision import box_free, point_clearance
+from planner.checks.collision import box_free, clearance_at
 from planner.lattice.layout import allowed, step_cost_um
 from planner.lattice.rise import first_climbs
-from planner.lattice.space import Space, clearance_cost, node_free
+from planner.lattice.space import Space, clearance_cost, node_free, radius_of
 from planner.model import Side, StepModel
 from planner.plan import wrap_angle
 
@@ -127,6 +127,8 @@ def _check_first(
     free: NDArray[np.bool_],
 ) -> None:
     """Marks the nodes (n,) whose foot and body are free, and adds the cost of clearance."""
+    terrain = space.terrain
+    clearance_m, size_m, radius_m = terrain.clearance_m, terrain.resolution_m, radius_of(body)
     ox, oy, frame_cos, frame_sin = space.frame
     frame_yaw = math.atan2(frame_sin, frame_cos)
     for i in range(len(nodes)):
@@ -136,9 +138,13 @@ def _check_first(
         turn = (poses[i, 2] - support[2] + math.pi) % (2 * math.pi) - math.pi
         yaw = frame_yaw + support[2] + 0.5 * turn
         gx, gy = ox + frame_cos * x - frame_sin * y, oy + frame_sin * x + frame_cos * y
-        if box_free(space.terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]):
+        clear_m = clearance_at(clearance_m, size_m, gx, gy)
+        if clear_m > radius_m or box_free(
+            terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]
+        ):
             free[i] = True
-            costs_um[i] += clearance_cost(space, point_clearance(space.terrain, gx, gy))
+            if clear_m < space.clearance[0]:
+                costs_um[i] += clearance_cost(space, clear_m)
 
 
 @njit(cache=True)

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from planner.lattice.pages import zeros
 
-BITS = 6
+BITS = 7
 LOW = (1 << BITS) - 1
 
 
 class Slots(NamedTuple):
     """Slots of all nodes of a lattice that were come to; arrays of so many are `length` long.
 
-    of_block (blocks,): number of the slots of each block of 64 nodes, 0 for none: slots that are
+    of_block (blocks,): number of the slots of each block of 128 nodes, 0 for none: slots that are
     never written to. used (1,): how many blocks have any.
     """
 

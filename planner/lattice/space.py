@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
-from planner.checks.collision import Terrain, box_free, point_clearance
+from planner.checks.collision import Terrain, box_free, clearance_at, point_clearance
 from planner.checks.ground import box_heights
 from planner.lattice.layout import MICRO, StepTable
 from planner.lattice.pages import zeros
@@ -23,7 +23,7 @@ from planner.lattice.slots import Slots, slots_for, take_slot
 from planner.model import StepModel
 
 UNKNOWN, FREE, BLOCKED = 0, 1, 2
-_PAIR_SLOTS = 1 << 18
+_PAIR_SLOTS = 1 << 15
 
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
@@ -225,6 +225,33 @@ def check_node(space: Space, node: int, slot: int) -> int:
 
 
 @njit(cache=True)
+def far_from_all(
+    clearance_m: NDArray[np.float32],
+    size_m: float,
+    foot: tuple[float, float],
+    turn: tuple[float, float],
+    inward_m: float,
+    radii_m: tuple[float, float],
+) -> bool:
+    """Whether distances alone say that a foot and the body over it keep off all that is blocked.
+
+    foot: x, y in the grid frame; turn: cos, sin; inward_m: how far to its left the body is;
+    radii_m: of the circles around both boxes. With a field (H, W) and its cells' size at hand this
+    costs a tenth of `check_node`, which takes over the whole lattice.
+    """
+    if clearance_at(clearance_m, size_m, foot[0], foot[1]) <= radii_m[0]:
+        return False
+    body_x, body_y = foot[0] - turn[1] * inward_m, foot[1] + turn[0] * inward_m
+    return clearance_at(clearance_m, size_m, body_x, body_y) > radii_m[1]
+
+
+@njit(cache=True)
+def radius_of(half_box: tuple[float, float]) -> float:
+    """Radius of the circle around a box, a hair more."""
+    return math.sqrt(half_box[0] ** 2 + half_box[1] ** 2) + 1e-6
+
+
+@njit(cache=True)
 def _node_is_free(space: Space, node: int, slot: int) -> bool:
     side = node & 1
     heading = (node >> 1) % space.headings
@@ -280,8 +307,7 @@ def pair_free(space: Space, half: int, half_heading: int) -> bool:
 @njit(cache=True)
 def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
     """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
-    half_l, half_w = space.body
-    if half_clearance(space, half) > math.sqrt(half_l * half_l + half_w * half_w) + 1e-6:
+    if half_clearance(space, half) > radius_of(space.body):
         return True
     return pair_free(space, half, half_heading)
 

@@ -30,13 +30,16 @@ from planner.lattice.space import (
     D_HALF,
     D_NODE,
     D_ROW,
+    FREE,
     HALF_HEADING,
     TO_ROW,
     UNKNOWN,
     Space,
     check_node,
     clearance_cost,
+    far_from_all,
     pair_free,
+    radius_of,
 )
 from planner.searches.heuristic import Heuristic, estimate
 from planner.searches.places import Places, takes_place
@@ -148,7 +151,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     queued = 128 + scalars[ROUND]
     limit_um = _limit_um(scalars)
     nodes = np.empty(scalars[USED], np.int64)
-    costs_um, values_um = np.empty_like(nodes), np.empty_like(nodes)
+    values_um = np.empty(scalars[USED], np.int64)
     number = 0
     for bucket in range(BUCKETS + 1):
         entry = tree.head[bucket]
@@ -164,13 +167,13 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
             if tree.cost_um[slot] + value >= limit_um:
                 continue
             tree.round[slot] = queued
-            nodes[number], costs_um[number], values_um[number] = node, tree.cost_um[slot], value
+            nodes[number], values_um[number] = node, value
             number += 1
     scalars[USED] = 0
     scalars[CURSOR] = BUCKETS
     least, low, high = _NO_KEY, _NO_KEY, 0
     for i in range(number):
-        value, cost = values_um[i], costs_um[i]
+        value, cost = values_um[i], tree.cost_um[slot_of(space.slots, nodes[i])]
         least = min(least, cost + value)
         low = min(low, cost + int(epsilon * value))
         high = max(high, cost + int(epsilon * value))
@@ -181,7 +184,8 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     while (span >> scalars[SHIFT]) >= BUCKETS - 1:
         scalars[SHIFT] += 1
     for i in range(number - 1, -1, -1):
-        _push(tree, nodes[i], costs_um[i] + int(epsilon * values_um[i]))
+        cost = tree.cost_um[slot_of(space.slots, nodes[i])]
+        _push(tree, nodes[i], cost + int(epsilon * values_um[i]))
     return least
 
 
@@ -267,17 +271,19 @@ def _expand_node(
     steps, node_state, before = tree.steps, space.node_state, tree.before
     of_block, used = space.slots.of_block, space.slots.used
     clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
-    (ox, oy, cos, sin), half_m = space.frame, 0.5 * space.cell_m
+    (ox, oy, cos, sin), cell_m = space.frame, space.cell_m
+    turn_cos, turn_sin = space.cos, space.sin
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
     endgame_um = heuristic.endgame_um
     detour_um, turn_um, rim = heuristic.detour_um, heuristic.turn_um, heuristic.rim
     circle = heuristic.radius_cells, space.cols, space.origin_col, space.origin_row
-    body_radius_m = np.sqrt(space.body[0] ** 2 + space.body[1] ** 2) + 1e-6
+    radii_m = radius_of(space.foot), radius_of(space.body)
     round_now = scalars[ROUND]
     here = np.int64(cost_um[slot])
     cell = node // (2 * space.headings)
     row = node - cell * 2 * space.headings
+    inward_m = (1 - 2 * (row & 1)) * space.half_stance_m
     up = cell // space.cols
     across = cell - up * space.cols
     half_base = up * 4 * space.cols + across * 2
@@ -298,17 +304,23 @@ def _expand_node(
         if old != 0 and cost >= old:
             continue
         state = node_state[at]
+        to_row, d_col, d_row = steps[row, k, TO_ROW], steps[row, k, D_COL], steps[row, k, D_ROW]
         if state == UNKNOWN:
-            state = check_node(space, to, at)
+            # The other foot steps, and its body is on the side of this one.
+            x, y = (across + d_col) * cell_m, (up + d_row) * cell_m - inward_m
+            foot = ox + cos * x - sin * y, oy + sin * x + cos * y
+            turn = turn_cos[to_row & ~1], turn_sin[to_row & ~1]
+            if uneven or not far_from_all(clearance_m, size_m, foot, turn, inward_m, radii_m):
+                state = check_node(space, to, at)
+            else:
+                node_state[at] = state = FREE
         if state == BLOCKED:
             continue
-        to_row = steps[row, k, TO_ROW]
         body = cell + steps[row, k, D_CELL] + body_cell[to_row]
         path: int = np.int64(path_um[body]) - 1  # type: ignore[assignment]
         if path < 0 or path > frontier_um:
             path = frontier_um
         value = path + potential_um[to_row]
-        d_col, d_row = steps[row, k, D_COL], steps[row, k, D_ROW]
         if abs(across + d_col) <= reach and abs(up + d_row) <= reach:
             exact = endgame_um[up + d_row + reach, across + d_col + reach, to_row]
             value = max(value, exact)
@@ -321,10 +333,10 @@ def _expand_node(
         )
         if cost + value >= limit_um:
             continue
-        x, y = (2 * across + d_col) * half_m, (2 * up + d_row) * half_m
+        x, y = (across + 0.5 * d_col) * cell_m, (up + 0.5 * d_row) * cell_m
         x, y = ox + cos * x - sin * y, oy + sin * x + cos * y
         clear_m = clearance_at(clearance_m, size_m, x, y)
-        if clear_m <= body_radius_m:
+        if clear_m <= radii_m[1]:
             half = half_base + steps[row, k, D_HALF]
             if not pair_free(space, half, steps[row, k, HALF_HEADING]):
                 continue
@@ -352,7 +364,7 @@ def _expand_node(
 
 def with_more_entries(tree: Tree) -> Tree:
     """The tree with room for twice as many entries."""
-    return tree._replace(
-        entry_node=np.append(tree.entry_node, np.empty_like(tree.entry_node)),
-        entry_next=np.append(tree.entry_next, np.empty_like(tree.entry_next)),
-    )
+    used = len(tree.entry_node)
+    entry_node, entry_next = np.empty(2 * used, np.int32), np.empty(2 * used, np.int32)
+    entry_node[:used], entry_next[:used] = tree.entry_node, tree.entry_next
+    return tree._replace(entry_node=entry_node, entry_next=entry_next)
