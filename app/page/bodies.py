@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
 from sim.scene import build_scene
@@ -38,16 +40,31 @@ class Look:
 
     def poses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (N, 3) in m and quaternions (N, 4) w, x, y, z in the world at qpos (nq,)."""
+        data = self._at(qpos)
+        return data.xpos[self.body_ids], data.xquat[self.body_ids]
+
+    def met_after_m(self, qpos: np.ndarray, origin: ArrayLike, direction: ArrayLike) -> float:
+        """How far from its origin (3,) a ray meets the robot at qpos (nq,); infinite if never."""
+        along = np.array(direction, float)
+        along /= np.linalg.norm(along)
+        nothing_static, geom = 0, np.zeros(1, np.int32)
+        groups = np.zeros(mujoco.mjNGROUP, np.uint8)
+        groups[_drawn_group(self.model)] = 1
+        data, begin = self._at(qpos), np.array(origin, float)
+        away_m = mujoco.mj_ray(self.model, data, begin, along, groups, nothing_static, -1, geom)
+        return float(away_m) if geom[0] >= 0 else math.inf
+
+    def _at(self, qpos: np.ndarray) -> mujoco.MjData:
         data = mujoco.MjData(self.model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(self.model, data)
-        return data.xpos[self.body_ids], data.xquat[self.body_ids]
+        return data
 
 
 def look_of(robot: Robot) -> Look:
     """The robot's meshes, or its collision shapes if it has none, gathered by body and colour."""
     model = build_scene(robot, timestep_s=_TIMESTEP_S, visuals=True).model
-    group = VISUAL_GROUP if np.any(model.geom_group == VISUAL_GROUP) else PHYSICS_GROUP
+    group = _drawn_group(model)
     gathered: dict[int, dict[tuple[int, int, int], list[trimesh.Trimesh]]]
     gathered = defaultdict(lambda: defaultdict(list))
     for geom in np.flatnonzero((model.geom_group == group) & (model.geom_bodyid > 0)):
@@ -61,6 +78,10 @@ def look_of(robot: Robot) -> Look:
         names=tuple(model.body(body).name for body in body_ids),
         parts=tuple(_parts(gathered[body]) for body in body_ids),
     )
+
+
+def _drawn_group(model: mujoco.MjModel) -> int:
+    return VISUAL_GROUP if np.any(model.geom_group == VISUAL_GROUP) else PHYSICS_GROUP
 
 
 def _parts(by_colour: dict[tuple[int, int, int], list[trimesh.Trimesh]]) -> tuple[Part, ...]:

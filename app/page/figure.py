@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import viser
+from numpy.typing import ArrayLike
 
 from app.page.bodies import Look
 
@@ -43,6 +46,12 @@ class Figure:
         for body, position, wxyz in zip(self._bodies, positions, quaternions, strict=True):
             body.position = position.round(4)
             body.wxyz = wxyz.round(5)
+
+    def met_after_m(self, origin: ArrayLike, direction: ArrayLike) -> float:
+        """How far from its origin (3,) a ray meets the robot as drawn; infinite if it does not."""
+        if not len(self._posed):
+            return math.inf
+        return self._look.met_after_m(self._posed, origin, direction)
 
     def remove(self) -> None:
         """Takes the robot out of the scene."""

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from app.page.bodies import look_of
 from app.page.boxes import Obstacle
@@ -20,7 +21,7 @@ from app.page.server import PageServer
 from app.page.session import Session
 from app.page.signs import Signs
 from app.page.snapshot import Notice, Snapshot
-from app.page.surface import FLOOR, WALL, surface_of
+from app.page.surface import FLOOR, ROBOT, WALL, Met, surface_of
 from app.page.toybox import Toybox
 from controller.policy import Policy
 from sim.robot import Robot
@@ -58,7 +59,12 @@ class Page:
         self._text_s = self._plot_s = 0.0
         self._drawing = threading.Lock()
         scene, grid, robot = server.scene, session.grid, session.robot
-        self._pointer = FloorPointer(self._pointed, surface_of(grid), on_drag=self._dragged)
+        self._pointer = FloorPointer(
+            self._pointed,
+            surface_of(grid),
+            meets_robot=self._meets_robot,
+            on_drag=self._dragged,
+        )
         self._signs = Signs(scene, self._pointer.height_m)
         self.toybox = Toybox(
             scene,
@@ -152,6 +158,7 @@ class Page:
     def _use(self, tool: Tool) -> None:
         self._tool = tool
         self._pointer.use(tool)
+        self.toybox.use(can_move=tool is Tool.BOX)
 
     def _pointed(self, pointed: Pointed, on: int, is_final: bool) -> None:
         if self._tool is Tool.BOX:
@@ -168,12 +175,20 @@ class Page:
             self.session.go_to(pose, in_the_way=_IN_THE_WAY.get(min(on, 0), ""))
 
     def _box_pointed(self, pointed: Pointed, on: int) -> None:
-        if on == WALL:
+        if on == ROBOT:
+            self._say("that is the robot: boxes stand on the floor")
+        elif on == WALL:
             self._say("a wall stands there: boxes stand on the floor")
         elif on == FLOOR:
             self.toybox.add(pointed[:2], self._panel.box_size_m)
         else:
             self.toybox.remove(on)
+
+    def _meets_robot(self, origin: ArrayLike, direction: ArrayLike) -> tuple[float, Met]:
+        x_m, y_m = (float(value) for value in self.session.snapshot.qpos[:2])
+        ground_m = float(self.session.grid.height_m((x_m, y_m)))
+        where = Met(x_m=x_m, y_m=y_m, z_m=ground_m, on=ROBOT)
+        return self._figure.met_after_m(origin, direction), where
 
     def _boxes_changed(self, obstacles: Sequence[Obstacle]) -> None:
         self._pointer.see_boxes(obstacles)

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 import viser
+from numpy.typing import ArrayLike
 
 from app.page.boxes import Obstacle
-from app.page.surface import Surface
+from app.page.surface import Met, Surface
 from planner.plan import Pose
 
 # A drag shorter than this does not say where to look.
@@ -40,7 +41,8 @@ class FloorPointer:
 
     `on_pose(pointed, on, is_final)` is called also while a drag goes on; a click leaves the heading
     open. `on` says what was pointed at, see `Met`. `on_drag(client_id)` is called for each piece of
-    a drag. With the tool LOOK a drag on the floor turns the camera.
+    a drag. `meets_robot(origin, direction)` says how far along a ray the robot is met, and where it
+    stands. With the tool LOOK a drag on the floor turns the camera.
     """
 
     def __init__(
@@ -48,9 +50,12 @@ class FloorPointer:
         on_pose: Callable[[Pointed, int, bool], None],
         surface: Surface,
         *,
+        meets_robot: Callable[[ArrayLike, ArrayLike], tuple[float, Met]],
         on_drag: Callable[[int], None] = lambda _client_id: None,
     ) -> None:
-        self._on_pose, self._on_drag = on_pose, on_drag
+        self._on_pose, self._on_drag, self._meets_robot = on_pose, on_drag, meets_robot
+        # What the drag of each page began on.
+        self._begun: dict[int, Met | None] = {}
         self._bare = self._surface = surface
         self._floor: viser.BoxHandle | None = None
         self._tool = Tool.GOAL
@@ -85,20 +90,33 @@ class FloorPointer:
     # Coroutines are awaited one after the other; functions could overtake one another.
     async def clicked(self, event: viser.SceneNodePointerEvent) -> None:
         """Takes a click on anything; what it meets first counts, whoever tells of it."""
-        met = self._surface.met(event.ray_origin, event.ray_direction)
+        met = self._met(event.ray_origin, event.ray_direction)
         if met is not None and self._tool is not Tool.LOOK:
             self._on_pose(Pointed(met.x_m, met.y_m), met.on, True)
 
     async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
-        self._on_drag(event.client.client_id)
+        page = event.client.client_id
+        self._on_drag(page)
         eye = np.asarray(event.client.camera.position)
-        met = self._surface.met(eye, np.asarray(event.start_position) - eye)
+        if event.phase == "start" or page not in self._begun:
+            # The robot may walk into the way, or out of it, while somebody drags.
+            self._begun[page] = self._met(eye, np.asarray(event.start_position) - eye)
+        met = self._begun[page]
+        if event.phase == "end":
+            del self._begun[page]
         if met is None or event.phase == "start":
             return
         # The end only says where to look: what stands there hides nothing of that.
         point = on_floor(eye, np.asarray(event.end_position) - eye, met.z_m)
         if point is not None:
             self._on_pose(toward((met.x_m, met.y_m), point), met.on, event.phase == "end")
+
+    def _met(self, origin: ArrayLike, direction: ArrayLike) -> Met | None:
+        met = self._surface.met(origin, direction)
+        away_m, robot = self._meets_robot(origin, direction)
+        if met is None:
+            return robot if math.isfinite(away_m) else None
+        return robot if away_m < math.dist(np.ravel(origin), (met.x_m, met.y_m, met.z_m)) else met
 
 
 def on_floor(

@@ -13,14 +13,17 @@ from maps.grid import Cell, OccupancyGrid
 from maps.terraces import terraces_of
 from sim.scene import WALL_HEIGHT_M
 
-# What stands on a cell; a box is told by its number.
-FLOOR, WALL = -2, -1
+# What a ray may meet; a box is told by its number.
+ROBOT, FLOOR, WALL = -3, -2, -1
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Met:
-    """A point of the world that a ray met, and what is there: FLOOR, WALL or a box's number."""
+    """A point of the world that a ray met, and what is there: FLOOR, WALL or a box's number.
+
+    Of the ROBOT it is the point on the ground where that stands.
+    """
 
     x_m: float
     y_m: float

@@ -42,6 +42,18 @@ class Toybox:
         self._on_click, self._on_drag = on_click, on_drag
         self._obstacles: dict[int, Obstacle] = {}
         self._drawn: dict[int, viser.BoxHandle] = {}
+        self._can_move = False
+
+    def use(self, *, can_move: bool) -> None:
+        """Says whether a drag on a box moves it; otherwise it is none of the boxes' business."""
+        if can_move == self._can_move:
+            return
+        self._can_move = can_move
+        for number, drawn in self._drawn.items():
+            self._listen(number, drawn)
+            obstacle = self._obstacles[number]
+            # Whoever was dragging it has let go.
+            drawn.position = (obstacle.x_m, obstacle.y_m, self._middle_m(obstacle))
 
     def add(self, xy_world: Sequence[float], size_m: tuple[float, float]) -> None:
         """Sets a box down at a point of the world."""
@@ -93,11 +105,18 @@ class Toybox:
         )
         self._drawn[number] = drawn
 
+        drawn.on_click(self._on_click)
+        self._listen(number, drawn)
+
+    def _listen(self, number: int, drawn: viser.BoxHandle) -> None:
+        if not self._can_move:
+            drawn.remove_drag_callback("all")
+            return
+
         async def dragged(event: viser.SceneNodeDragEvent) -> None:
             if number in self._obstacles:
                 self._dragged(number, event)
 
-        drawn.on_click(self._on_click)
         drawn.on_drag("left")(dragged)
 
     def _middle_m(self, obstacle: Obstacle) -> float:
