@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import trimesh
 import viser
 
+from app.page.blocks import solid
 from maps.grid import Cell, OccupancyGrid
 from maps.terraces import plates_of, terraces_of
 from sim.scene import WALL_HEIGHT_M
@@ -63,13 +63,15 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
         shadow_opacity=0.0,
     )
     unknown = plates_of(grid, grid.cells == Cell.UNKNOWN)
-    _add_boxes(scene, "/map/walls", terraces.walls, lowest_m, WALL_HEIGHT_M, WALL_RGB)
-    _add_boxes(scene, "/map/unknown", unknown, lowest_m, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB)
-    _add_ground(scene, terraces.ground, lowest_m)
+    _add_boxes(scene, grid, "/map/walls", terraces.walls, lowest_m, WALL_HEIGHT_M, WALL_RGB)
+    _add_boxes(scene, grid, "/map/unknown", unknown, lowest_m, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB)
+    _add_ground(scene, grid, terraces.ground, lowest_m)
     return slab
 
 
-def _add_ground(scene: viser.SceneApi, boxes: np.ndarray, lowest_m: float) -> None:
+def _add_ground(
+    scene: viser.SceneApi, grid: OccupancyGrid, boxes: np.ndarray, lowest_m: float
+) -> None:
     """The floor that is higher than the lowest, the higher the browner."""
     rise_m = boxes[:, 4] - lowest_m
     shades = np.ceil(_SHADES * rise_m / max(rise_m, default=1.0)).astype(int)
@@ -79,11 +81,12 @@ def _add_ground(scene: viser.SceneApi, boxes: np.ndarray, lowest_m: float) -> No
             for low, high in zip(FLOOR_RGB, HIGHEST_RGB, strict=True)
         )
         name = f"/map/ground/{shade}"
-        _add_boxes(scene, name, boxes[shades == shade], lowest_m, 0.0, (red, green, blue))
+        _add_boxes(scene, grid, name, boxes[shades == shade], lowest_m, 0.0, (red, green, blue))
 
 
 def _add_boxes(
     scene: viser.SceneApi,
+    grid: OccupancyGrid,
     name: str,
     boxes: np.ndarray,
     lowest_m: float,
@@ -97,12 +100,7 @@ def _add_boxes(
     if len(boxes) == 0:
         scene.remove_by_name(name)
         return
-    box = trimesh.creation.box(extents=(1, 1, 1))
-    tops_m = boxes[:, 4] + height_m
-    sizes = np.column_stack([2 * boxes[:, 2:4], tops_m - lowest_m])
-    centres = np.column_stack([boxes[:, :2], (tops_m + lowest_m) / 2])
-    vertices = (box.vertices * sizes[:, None] + centres[:, None]).reshape(-1, 3)
-    faces = (box.faces + len(box.vertices) * np.arange(len(boxes))[:, None, None]).reshape(-1, 3)
+    vertices, faces = solid(boxes, base_m=lowest_m, rise_m=height_m, cell_m=grid.resolution_m)
     scene.add_mesh_simple(
         name, vertices.astype(np.float32), faces.astype(np.uint32), color=rgb, flat_shading=True
     )
