@@ -23,12 +23,15 @@ from app.inputs import MapOptions, read_grid
 from app.page.opening import drawn, load_robot, opened
 from app.page.session import Session
 from benchmarks.page_watcher import Watcher
+from planner.options import PlannerOptions
 
 PATIENCE_S = 300.0
 ABOVE_M = 5.0
 # So long nothing must come before the next click.
 QUIET_S = 0.3
 PRINTS = ("/steps/planned_left", "/steps/next_left", "/steps/next_right")
+# As `serve` plans unless it is told otherwise.
+SERVED = PlannerOptions(refine=True)
 HEADER = "goal           click to prints  planner asked  server cpu  planner cpu   (ms)"
 
 
@@ -44,7 +47,7 @@ def main() -> None:
     rows: list[tuple[float, ...]] = []
     rng = np.random.default_rng(options.seed)
     x0, y0, x1, y1 = grid.bounds_world()
-    with opened(grid, robot, policy, title="clicks") as page, drawn(page):
+    with opened(grid, robot, policy, title="clicks", options=SERVED) as page, drawn(page):
         session, watcher = page.session, Watcher(page.server.url)
         # As `serve` does before it says that its page is up.
         wait(lambda: session.is_ready(wait_s=1.0))

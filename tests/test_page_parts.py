@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,19 +118,22 @@ def test_a_long_stop_is_not_made_up_for():
 def test_the_status_says_what_is_known_and_no_more():
     bare = status_text(Snapshot(qpos=np.zeros(7)))
     assert bare.startswith("### Standing")
-    assert "foot error" not in bare
-    told = status_text(
-        Snapshot(
-            qpos=np.zeros(7),
-            status="reached",
-            answer_s=0.042,
-            foot_error_m=np.array([0.01, 0.03, 0.02]),
-            clearance_m=0.25,
-            goal_error=(0.012, 0.1),
-        )
+    assert not set("123456789") & set(bare.removeprefix("### "))
+    walking = Snapshot(
+        qpos=np.zeros(7),
+        status="walking",
+        answer_s=0.042,
+        foot_error_m=np.array([0.01, 0.03, 0.02]),
+        clearance_m=0.25,
+        goal_error=(1.5, 0.1),
     )
-    for words in ("Reached", "42 ms", "2.0 cm, at most 3.0 cm", "25 cm", "1.2 cm, 5.7°"):
+    told = status_text(walking)
+    for words in ("Walking", "42 ms", "2.0 cm, at most 3.0 cm", "25 cm"):
         assert words in told
+    reached = status_text(replace(walking, status="reached", goal_error=(0.012, 0.1)))
+    assert "1.2 cm, 5.7°" in reached
+    # The buttons below stay where they are.
+    assert bare.count("\n") == told.count("\n") == reached.count("\n")
 
 
 def test_the_button_that_is_pressed_is_marked_and_means_the_same():

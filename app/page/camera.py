@@ -16,8 +16,8 @@ _PHONE_ASPECT = 0.7
 _PHONE_SHARE = 0.6
 # Elsewhere it is at the right, over about this share.
 _PANEL_SHARE = 0.22
-# The first view is from the south, so far from the vertical.
-_FROM_VERTICAL_RAD = math.atan2(0.65, 0.75)
+# The first view is from the south, so far from the vertical: walls hide little floor.
+_FROM_VERTICAL_RAD = math.radians(33)
 _NEAREST_M = 3.0
 _MARGIN = 1.1
 # A camera that begins to follow comes so near, and looks at this height above the ground.

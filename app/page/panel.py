@@ -242,20 +242,23 @@ def unmarked(name: str) -> str:
 
 
 def status_text(snapshot: Snapshot) -> str:
-    """What there is to say of the walk, as Markdown."""
-    lines = [f"### {snapshot.status[:1].upper()}{snapshot.status[1:]}"]
-    if snapshot.plan is not None:
-        steps = f"step {snapshot.done} of {len(snapshot.plan)}"
-        lines.append(f"{steps}, {snapshot.replans} replans")
-    if snapshot.answer_s is not None:
-        lines.append(f"plan after {1000 * snapshot.answer_s:.0f} ms")
-    if len(snapshot.foot_error_m):
-        error = snapshot.foot_error_m
-        lines.append(f"foot error {100 * error[-1]:.1f} cm, at most {100 * error.max():.1f} cm")
-    if snapshot.clearance_m is not None:
-        lines.append(f"nearest wall {100 * snapshot.clearance_m:.0f} cm")
+    """What there is to say of the walk, as Markdown.
+
+    Always as many lines: the buttons below must not jump when somebody is about to press one.
+    """
+    plan, answer_s, error_m = snapshot.plan, snapshot.answer_s, snapshot.foot_error_m
+    steps, second, error, near = "no steps yet", "plan –", "foot error –", "nearest wall –"
+    if plan is not None:
+        steps = f"step {snapshot.done} of {len(plan)}, {snapshot.replans} replans"
     if snapshot.goal_error is not None and snapshot.status == "reached":
         away_m, away_rad = snapshot.goal_error
-        lines.append(f"from the goal {100 * away_m:.1f} cm, {math.degrees(away_rad):.1f}°")
-    lines.append(f"{snapshot.time_s:.0f} s walked, speed {snapshot.speed:.1f}x")
-    return "  \n".join(lines)
+        second = f"from the goal {100 * away_m:.1f} cm, {math.degrees(away_rad):.1f}°"
+    elif answer_s is not None:
+        second = f"plan after {1000 * answer_s:.0f} ms"
+    if len(error_m):
+        error = f"foot error {100 * error_m[-1]:.1f} cm, at most {100 * error_m.max():.1f} cm"
+    if snapshot.clearance_m is not None:
+        near = f"nearest wall {100 * snapshot.clearance_m:.0f} cm"
+    walked = f"{snapshot.time_s:.0f} s walked, speed {snapshot.speed:.1f}x"
+    title = f"### {snapshot.status[:1].upper()}{snapshot.status[1:]}"
+    return "  \n".join((title, steps, second, error, near, walked))
