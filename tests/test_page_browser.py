@@ -205,5 +205,13 @@ def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
     visit.page.wait_for_function(
         "[...document.querySelectorAll('input')].some(input => parseFloat(input.value) > 0.5)"
     )
+    # The slider: a click near its end goes there, and the walk waits.
+    track = visit.page.locator(".mantine-Slider-trackContainer").first.bounding_box()
+    assert track is not None
+    x_px, y_px = track["x"] + 0.9 * track["width"], track["y"] + track["height"] / 2
+    visit.page.mouse.click(x_px, y_px)
+    share = "Number(e.getAttribute('aria-valuenow')) / Number(e.getAttribute('aria-valuemax'))"
+    found = "document.querySelector('[role=slider]')"
+    visit.page.wait_for_function(f"(e => Math.abs({share} - 0.9) < 0.03)({found})")
     assert visit.errors == []
     assert visit.hosts <= {""}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import re
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -21,6 +22,7 @@ from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 
 STEP_S = 0.5
+GRID = OccupancyGrid(cells=np.zeros((40, 60), np.uint8), resolution_m=0.05)
 
 
 def recorded(page: str) -> dict:
@@ -82,6 +84,22 @@ def test_it_plays_as_long_as_the_walk_and_a_little_more(page):
 def test_it_is_small_and_names_no_script_elsewhere(page):
     assert len(page) < 2_000_000
     assert not re.findall(r'<(?:script|link)[^>]+(?:src|href)="(?!data:)', page)
+
+
+@pytest.mark.parametrize("name", ["jvrc1", "hrp5p"])
+def test_a_walk_of_forty_seconds_can_be_sent_by_mail(name, story, tmp_path):
+    """Below 6 MB, though every joint moves all the time, and each in its own way."""
+    robot = get_robot(name)
+    standing = build_scene(robot, timestep_s=0.001).standing_qpos
+    time_s = np.arange(0, 40.001, 0.025)
+    qpos = np.tile(standing, (len(time_s), 1))
+    qpos[:, 0] += time_s / 10
+    qpos[:, 7:] += np.random.default_rng(0).normal(0, 0.1, (len(time_s), qpos.shape[1] - 7))
+    path = tmp_path / "walk.html"
+    moved = replace(story, recording=Recording(qpos=qpos, time_s=time_s))
+    write_replay(path, GRID, robot, moved)
+    assert recorded(path.read_text(encoding="utf-8"))["durationSeconds"] == pytest.approx(42)
+    assert path.stat().st_size < 6_000_000
 
 
 def test_the_pelvis_is_where_it_was(page):

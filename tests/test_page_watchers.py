@@ -123,6 +123,25 @@ def test_a_phone_that_is_turned_sees_the_map_anew(served):
     phone.close()
 
 
+def test_a_page_that_begins_where_all_do_is_aimed_again(served):
+    """Whether a slow browser hears first where pages begin or where it is to look from is open."""
+    served.live()
+    page = Watcher(served.server.url, width_px=600, height_px=600)
+    kind = "SetCameraPositionMessage"
+    wait_until(lambda: page.heard[kind], "it is aimed")
+    before, begin = page.heard[kind], overview(HALL, 1.5)
+    page.say_camera(begin.position_m.tolist(), begin.look_at_m.tolist())
+    wait_until(lambda: page.heard[kind] > before, "it is aimed again")
+    wanted_m = overview(HALL, 1.0).position_m
+    assert page.last[kind]["position"] == pytest.approx(wanted_m, abs=1e-3)
+    # Whoever looks elsewhere is let alone.
+    before = page.heard[kind]
+    page.say_camera((1.0, -4.0, 4.0), (0.0, 0.0, 0.0))
+    time.sleep(1.5)
+    assert page.heard[kind] == before
+    page.close()
+
+
 def shown_walk(page: Page, start: Snapshot, frames: int, rng: np.random.Generator) -> None:
     """Draws so many moments of made-up walks, with everything changing all the time."""
     count = 40

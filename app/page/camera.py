@@ -19,7 +19,7 @@ _PANEL_SHARE = 0.22
 # The first view is from the south, so far from the vertical: walls hide little floor.
 _FROM_VERTICAL_RAD = math.radians(33)
 _NEAREST_M = 3.0
-_MARGIN = 1.1
+_MARGIN = 1.17
 # A camera that begins to follow comes so near, and looks at this height above the ground.
 FOLLOW_DISTANCE_M = 4.5
 _PHONE_DISTANCE_M = 8.0

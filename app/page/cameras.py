@@ -15,19 +15,26 @@ from maps.grid import OccupancyGrid
 
 # Of a window that has not said so far which shape it has.
 _ASPECT = 1.5
+# A page that has just opened may go to where all pages begin after it was aimed.
+_OPENS_FOR_S = 20.0
+_AIM_EVERY_S = 1.0
+_ALIKE_M = 0.05
 
 
 @dataclass(kw_only=True)
 class _Visitor:
     """Somebody's page: how to reach it, its switch, and its follower while that is on.
 
-    is_upright: whether the camera was aimed for a phone that is held upright.
+    is_upright: whether the camera was aimed for a phone that is held upright. opened_s, aimed_s:
+    when the page opened, and when it was aimed, by the clock.
     """
 
     client: viser.ClientHandle
     is_upright: bool
     # Any: viser's types say that the value of a switch cannot be set.
     switch: Any
+    opened_s: float
+    aimed_s: float
     follower: Follower | None = None
 
 
@@ -39,7 +46,8 @@ class Cameras:
 
     def __init__(self, server: viser.ViserServer, grid: OccupancyGrid, *, order: float) -> None:
         self._grid, self._order = grid, order
-        aim_pages(server, overview(grid, _ASPECT))
+        self._begin = overview(grid, _ASPECT)
+        aim_pages(server, self._begin)
         self._visitors: dict[int, _Visitor] = {}
         self._lock = threading.Lock()
         server.on_client_connect(self._came)
@@ -60,12 +68,22 @@ class Cameras:
             sight = None
             if follower is not None:
                 sight = follower.next(_sight(camera), ground_m, camera.aspect, now_s)
-            elif is_phone(camera.aspect) != visitor.is_upright:
+            elif is_phone(camera.aspect) != visitor.is_upright or self._is_astray(visitor, now_s):
                 # The phone has been turned: what was free of the panel is not so any more.
                 sight = overview(self._grid, camera.aspect)
+                visitor.aimed_s = now_s
             visitor.is_upright = is_phone(camera.aspect)
             if sight is not None:
                 _aim(visitor.client, sight)
+
+    def _is_astray(self, visitor: _Visitor, now_s: float) -> bool:
+        """Whether a page that has just opened looks from where all begin, not from its place."""
+        if now_s - visitor.opened_s > _OPENS_FOR_S or now_s - visitor.aimed_s < _AIM_EVERY_S:
+            return False
+        camera = visitor.client.camera
+        place_m, wanted = np.array(camera.position), overview(self._grid, camera.aspect)
+        astray_m = np.linalg.norm(place_m - self._begin.position_m)
+        return bool(astray_m < _ALIKE_M < np.linalg.norm(place_m - wanted.position_m))
 
     def hold(self, client_id: int) -> None:
         """Lets the camera of this page alone for a moment: its pointer is dragging something."""
@@ -87,7 +105,14 @@ class Cameras:
             hint="On this page alone. Turn the view and come nearer as you like meanwhile.",
         )
         aspect = client.camera.aspect
-        visitor = _Visitor(client=client, switch=switch, is_upright=is_phone(aspect))
+        now_s = time.monotonic()
+        visitor = _Visitor(
+            client=client,
+            switch=switch,
+            is_upright=is_phone(aspect),
+            opened_s=now_s,
+            aimed_s=now_s,
+        )
         switch.on_update(lambda _event: self._switched(visitor))
         with self._lock:
             self._visitors[client.client_id] = visitor
