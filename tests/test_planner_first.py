@@ -10,7 +10,7 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.verify import violations
 from sim.robots import get_robot
-from tests.planner_floor import blocked_at
+from tests.planner_floor import blocked_at, walled
 
 MODEL = get_robot("jvrc1").step_model
 HALL = OccupancyGrid(cells=np.zeros((90, 90), np.uint8), resolution_m=0.1)
@@ -52,3 +52,14 @@ def test_where_no_path_of_the_body_leads_the_first_search_takes_no_expansions():
     plan = Planner(grid, MODEL).plan(start=(0.8, 1.5, 0.0), goal=(3.2, 1.5, 0.0))
     assert plan.status is PlanStatus.NO_PATH
     assert plan.expansions == 0
+
+
+def test_a_gap_that_the_path_fits_through_and_the_body_does_not_is_left_aside_at_once():
+    # The gap of 20 cm is open to the path of the bound; the way round is a metre and a half longer.
+    grid = walled(80, 80, ((38, 0, 42, 39), (38, 41, 42, 70)))
+    options = PlannerOptions(stop_at_first=True)
+    plan = Planner(grid, MODEL, options).plan(start=(4.0, 2.0, 1.57), goal=(4.0, 6.0, 1.57))
+    assert plan.found
+    assert not violations(plan, grid, MODEL)
+    assert plan.expansions < 400
+    assert plan.pose_world[:, 0].max() > 6.8

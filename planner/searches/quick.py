@@ -1,15 +1,17 @@
 """A first plan soon: a search in the strip of ground that the path of the body lies in.
 
-The path comes from A* over the body's cells, from the goal toward the start. It looks at a few of
-the cells that the heuristic of the full search wants to know; the search for steps then keeps to
-those cells, weighs their path cost more than it is due, and goes from place to place rather than
-from state to state (`places.py`). Where it finds nothing nothing is lost: the full search follows
-in any case, or proves what is asked.
+The path comes from A* over the body's cells, from the goal toward the start, among those where it
+has room to walk ahead; where that leads nowhere, among all that the bound of the full search counts
+as open, which are more than any body fits into. It looks at a few of the cells that the heuristic
+of the full search wants to know; the search for steps then keeps to those cells, weighs their path
+cost more than it is due, and goes from place to place rather than from state to state
+(`places.py`). Where it finds nothing nothing is lost: the full search follows in any case, or
+proves what is asked.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,22 +65,51 @@ def quick_path(
 
     NO_WAY where no path of the body leads to the goal's own pose.
     """
-    toward, exits = request.toward, request.toward.tables.exits
-    potential_um = toward.tables.potential.potential_um.reshape(-1)
+    toward, guide = request.toward, request.toward.tables.potential
     cells = body_cells_of(toward, nodes)
-    path = path_toward(request.space, toward.tables.potential, np.unique(cells))
+    path = path_toward(request.space, guide, np.unique(cells))
     if not np.any(path.cost_um[cells] > 0):
         return NO_WAY
     rows = nodes % (2 * request.space.headings)
-    bounds_um = costs_um + path.least_um(cells) + potential_um[rows]
-    arrive_um = _lift(request, path, int(cells[np.argmin(costs_um)]))
-    task = Task(
+    bounds_um = costs_um + path.least_um(cells) + guide.potential_um.reshape(-1)[rows]
+    # With room to walk ahead steps can follow it nearly always.
+    roomy = replace(guide, reach_m=max(request.space.body[1], guide.reach_m))
+    wide = path_toward(request.space, roomy, np.unique(cells))
+    expansions = 0
+    for strip, tries in (wide, _TRIES[:2]), (path, _TRIES):
+        if not np.any(strip.cost_um[cells] > 0):
+            continue
+        task = _task_in(request, strip, nodes, costs_um)
+        for epsilon, budget, by_places in tries:
+            places = places_of(task.space) if by_places else EVERY_STATE
+            tree = task.tree()._replace(places=places)
+            weight = max(options.epsilon, epsilon)
+            search.begin_round(task.space, task.heuristic, tree, weight)
+            budget = min(budget, options.max_expansions - expansions)
+            search.expand(task.space, task.heuristic, tree, weight, budget)
+            expansions += int(tree.scalars[search.EXPANSIONS])
+            if tree.scalars[search.BEST_UM] < search.NO_COST:
+                return QuickPath(
+                    nodes=task.in_order(trace(tree, int(tree.scalars[search.BEST_NODE]))),
+                    cost_um=int(tree.scalars[search.BEST_UM]),
+                    least_um=int(bounds_um.min()),
+                    expansions=expansions,
+                )
+    return None
+
+
+def _task_in(request: Request, path: Strip, nodes: Int64s, costs_um: Int64s) -> Task:
+    """The search along a strip from the first steps (n,); changes the strip's costs."""
+    toward, exits = request.toward, request.toward.tables.exits
+    start = int(body_cells_of(toward, nodes)[np.argmin(costs_um)])
+    arrive_um = _lift(request, path, start)
+    return Task(
         space=request.space,
         heuristic=Heuristic(
             path.cost_um,
             path.settled_um + arrive_um,  # off the strip it is as far as from the start
             toward.body_cell,
-            potential_um,
+            toward.tables.potential.potential_um.reshape(-1),
             toward.tables.endgame.cost_um,
             toward.tables.endgame.cap_um,
             toward.tables.facing.depart_um,
@@ -93,23 +124,6 @@ def quick_path(
         goals=toward.goal_nodes,
         goal_um=np.full(2, final_cost_um(request.model)),
     )
-    expansions = 0
-    for epsilon, budget, by_places in _TRIES:
-        places = places_of(task.space) if by_places else EVERY_STATE
-        tree = task.tree()._replace(places=places)
-        weight = max(options.epsilon, epsilon)
-        search.begin_round(task.space, task.heuristic, tree, weight)
-        budget = min(budget, options.max_expansions - expansions)
-        search.expand(task.space, task.heuristic, tree, weight, budget)
-        expansions += int(tree.scalars[search.EXPANSIONS])
-        if tree.scalars[search.BEST_UM] < search.NO_COST:
-            return QuickPath(
-                nodes=task.in_order(trace(tree, int(tree.scalars[search.BEST_NODE]))),
-                cost_um=int(tree.scalars[search.BEST_UM]),
-                least_um=int(bounds_um.min()),
-                expansions=expansions,
-            )
-    return None
 
 
 def _lift(request: Request, path: Strip, start: int) -> int:
