@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -210,6 +211,21 @@ def test_a_planner_that_dies_is_replaced(session):
     session._planner._process.join()
     session.go_to((1.5, 0.0, 0.0))
     wait_for(session, lambda now: now.goal[0] == 1.5)
+
+
+def test_a_planner_that_never_starts_is_given_up(monkeypatch):
+    monkeypatch.setattr("app.page.planning._work", sys.exit)
+    session = Session(HALL, ROBOT, POLICY)
+
+    def load() -> None:
+        while not session.is_ready(wait_s=1.0):
+            pass
+
+    try:
+        with pytest.raises(RuntimeError, match="died 3 times"):
+            load()
+    finally:
+        session.close()
 
 
 @pytest.mark.parametrize("name", ["ara", "rrtconnect"])

@@ -26,6 +26,8 @@ PATIENCE_S = 0.2
 POLISH_S = 1.0
 # Longer than any planner takes that is still alive.
 _ENDLESS_S = 600.0
+# A planner that has died so often before it was ready will not do better.
+_MOST_STARTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,9 +85,11 @@ class PlanningProcess:
         self._open: Query | None = None
         self._kept: list[Answer] = []
         self._is_ready = False
+        self._starts = 0
         self._start()
 
     def _start(self) -> None:
+        self._starts += 1
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_work, args=(theirs,), daemon=True, name="planner")
@@ -208,8 +212,14 @@ class PlanningProcess:
                 self._send(query)
 
     def _restart(self) -> None:
-        """A planner that died, out of memory say, must not take the robot with it."""
+        """A planner that died, out of memory say, must not take the robot with it.
+
+        Raises:
+            RuntimeError: It dies whenever it is started.
+        """
         self._pipe.close()
+        if self._starts >= _MOST_STARTS and not self._is_ready:
+            raise RuntimeError(f"the planner's process has died {self._starts} times at its start")
         self._process.join(timeout=1.0)
         self._start()
 
