@@ -214,7 +214,7 @@ def test_a_planner_that_dies_is_replaced(session):
 
 
 def test_a_planner_that_never_starts_is_given_up(monkeypatch):
-    monkeypatch.setattr("app.page.planning._work", sys.exit)
+    monkeypatch.setattr("app.page.planning.answer_questions", sys.exit)
     session = Session(HALL, ROBOT, POLICY)
 
     def load() -> None:

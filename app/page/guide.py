@@ -5,7 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 
-from app.page.planning import Answer, PlanningProcess
+from app.page.planning import PlanningProcess
+from app.page.questions import Answer
 from app.page.record import Record
 from app.page.rover import Ahead, Rover
 from app.page.setting import finite_pose

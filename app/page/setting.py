@@ -10,7 +10,7 @@ from functools import cached_property
 from app.navigator import NavigatorConfig, PlansSteps
 from app.page.boxes import Obstacle, with_obstacles
 from app.page.offers import Stand, place_to_stand
-from app.page.planning import World
+from app.page.questions import World
 from app.page.rover import Rover
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
