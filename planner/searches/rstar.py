@@ -16,7 +16,7 @@ from __future__ import annotations
 import heapq
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -40,7 +40,7 @@ _TARGET_CELLS = 2  # radius of what counts as having come to a sub-goal
 _WEIGHT = 2.0
 _EASY, _HARD = 1_000, 10_000  # expansions of a search between two states, at first and once more
 _MOST_STATES = 2_000
-_MOST_EXPANSIONS = 30_000
+_MOST_EXPANSIONS = 5_000  # then the quick search takes over, which needs fewer
 _STRIP_M, _STRIP_EXPANSIONS = 0.6, 20_000
 
 
@@ -50,11 +50,14 @@ def plan_rstar(request: Request, options: PlannerOptions, began: float) -> Resul
     if not len(nodes):
         return no_first_step(request)
     run = Run(request, options, began)
-    first = _Sparse(request, nodes, costs_um, options, began).plan()
+    sparse = _Sparse(request, nodes, costs_um, options, began)
+    first = sparse.plan()
     if first is None:
         first = quick_plan(request, nodes, costs_um, options)
-    if first is NO_WAY:
-        return no_way()
+        if first is NO_WAY:
+            return no_way()
+        if first is not None:
+            first = replace(first, expansions=first.expansions + sparse.expansions)
     if first is not None:
         run.take(first)
         if options.stop_at_first or run.proven <= options.final_epsilon:
