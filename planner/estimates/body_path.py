@@ -25,7 +25,7 @@ from planner.estimates.spread import (
 )
 from planner.lattice.space import Int64s, Space
 
-_MARGIN_MOVES = 8
+MARGIN_MOVES = 8  # with these there is room for steps
 
 
 class BodyPath(NamedTuple):
@@ -51,6 +51,10 @@ class Strip(NamedTuple):
     cols: int
     ahead: Ahead
 
+    def reaches_any(self, cells: Int64s) -> bool:
+        """Whether a path leads to one of the cells (n,)."""
+        return bool(np.any(self.cost_um[cells] > 0))
+
     def least_um(self, cells: Int64s) -> Int64s:
         """What a path from each cell (n,) costs at least."""
         cost_um = self.cost_um[cells].astype(np.int64) - 1
@@ -59,10 +63,15 @@ class Strip(NamedTuple):
         return np.where(unsettled, np.maximum(self.settled_um - away_um, 0), cost_um)
 
 
-def path_toward(space: Space, guide: Potential, cells: Int64s) -> Strip:
-    """Path costs from the goal in the strip of cells through which A* looks for the cells (n,)."""
+def path_toward(
+    space: Space, guide: Potential, cells: Int64s, *, margin_moves: int = MARGIN_MOVES
+) -> Strip:
+    """Path costs from the goal in the strip of cells through which A* looks for the cells (n,).
+
+    margin_moves: by how many moves the paths through the strip may be longer than need be.
+    """
     ahead = ahead_of(space, guide, cells)
-    beyond_um = ahead.slack_um + _MARGIN_MOVES * ahead.level_um
+    beyond_um = ahead.slack_um + margin_moves * ahead.level_um
     cost_um = np.zeros(space.cols * space.rows, np.int32)
     seeds = np.array([space.origin_row * space.cols + space.origin_col]), np.array([0])
     moves = moves_of(guide)

@@ -11,11 +11,12 @@ proves what is asked.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.estimates.body_path import Strip, path_toward, raise_by_arrival
+from planner.estimates.body_path import MARGIN_MOVES, Strip, path_toward, raise_by_arrival
 from planner.estimates.exits import SECTORS
 from planner.lattice.layout import final_cost_um
 from planner.lattice.pages import zeros
@@ -53,9 +54,9 @@ def is_cut_off(request: Request, nodes: Int64s) -> bool:
     """
     if not request.toward.region.is_point:
         return False
-    cells = body_cells_of(request.toward, nodes)
-    path = path_toward(request.space, request.toward.tables.potential, np.unique(cells))
-    return not np.any(path.cost_um[cells] > 0)
+    cells = np.unique(body_cells_of(request.toward, nodes))
+    path = path_toward(request.space, request.toward.tables.potential, cells, margin_moves=0)
+    return not path.reaches_any(cells)
 
 
 def quick_path(
@@ -65,37 +66,56 @@ def quick_path(
 
     NO_WAY where no path of the body leads to the goal's own pose.
     """
-    toward, guide = request.toward, request.toward.tables.potential
-    cells = body_cells_of(toward, nodes)
-    path = path_toward(request.space, guide, np.unique(cells))
-    if not np.any(path.cost_um[cells] > 0):
-        return NO_WAY
-    rows = nodes % (2 * request.space.headings)
-    bounds_um = costs_um + path.least_um(cells) + guide.potential_um.reshape(-1)[rows]
+    space, guide = request.space, request.toward.tables.potential
+    bodies = body_cells_of(request.toward, nodes)
+    cells = np.unique(bodies)
     # With room to walk ahead steps can follow it nearly always.
-    roomy = replace(guide, reach_m=max(request.space.body[1], guide.reach_m))
-    wide = path_toward(request.space, roomy, np.unique(cells))
-    expansions = 0
-    for strip, tries in (wide, _TRIES[:2]), (path, _TRIES):
-        if not np.any(strip.cost_um[cells] > 0):
-            continue
-        task = _task_in(request, strip, nodes, costs_um)
-        for epsilon, budget, by_places in tries:
-            places = places_of(task.space) if by_places else EVERY_STATE
-            tree = task.tree()._replace(places=places)
-            weight = max(options.epsilon, epsilon)
-            search.begin_round(task.space, task.heuristic, tree, weight)
-            budget = min(budget, options.max_expansions - expansions)
-            search.expand(task.space, task.heuristic, tree, weight, budget)
-            expansions += int(tree.scalars[search.EXPANSIONS])
-            if tree.scalars[search.BEST_UM] < search.NO_COST:
-                return QuickPath(
-                    nodes=task.in_order(trace(tree, int(tree.scalars[search.BEST_NODE]))),
-                    cost_um=int(tree.scalars[search.BEST_UM]),
-                    least_um=int(bounds_um.min()),
-                    expansions=expansions,
-                )
-    return None
+    roomy = replace(guide, reach_m=max(space.body[1], guide.reach_m))
+    wide = path_toward(space, roomy, cells)
+    is_wide = wide.reaches_any(cells)
+    # Beside a wide path this one says only what any plan costs at least: that takes no margin.
+    path = path_toward(space, guide, cells, margin_moves=0 if is_wide else MARGIN_MOVES)
+    if not path.reaches_any(cells):
+        return NO_WAY
+    rows = nodes % (2 * space.headings)
+    bounds_um = costs_um + path.least_um(bodies) + guide.potential_um.reshape(-1)[rows]
+    quick = replace(NO_WAY, least_um=int(bounds_um.min()))
+    if is_wide:
+        quick = _along(request, wide, nodes, costs_um, options, _TRIES[:2], quick)
+        if len(quick.nodes):
+            return quick
+        path = path_toward(space, guide, cells)
+    quick = _along(request, path, nodes, costs_um, options, _TRIES, quick)
+    return quick if len(quick.nodes) else None
+
+
+def _along(
+    request: Request,
+    strip: Strip,
+    nodes: Int64s,
+    costs_um: Int64s,
+    options: PlannerOptions,
+    tries: Sequence[tuple[float, int, bool]],
+    so_far: QuickPath,
+) -> QuickPath:
+    """A plan along a strip, with the expansions so far; without nodes if none is found."""
+    task, expansions = _task_in(request, strip, nodes, costs_um), so_far.expansions
+    for epsilon, budget, by_places in tries:
+        places = places_of(task.space) if by_places else EVERY_STATE
+        tree = task.tree()._replace(places=places)
+        weight = max(options.epsilon, epsilon)
+        search.begin_round(task.space, task.heuristic, tree, weight)
+        budget = min(budget, options.max_expansions - expansions)
+        search.expand(task.space, task.heuristic, tree, weight, budget)
+        expansions += int(tree.scalars[search.EXPANSIONS])
+        if tree.scalars[search.BEST_UM] < search.NO_COST:
+            return replace(
+                so_far,
+                nodes=task.in_order(trace(tree, int(tree.scalars[search.BEST_NODE]))),
+                cost_um=int(tree.scalars[search.BEST_UM]),
+                expansions=expansions,
+            )
+    return replace(so_far, expansions=expansions)
 
 
 def _task_in(request: Request, path: Strip, nodes: Int64s, costs_um: Int64s) -> Task:
