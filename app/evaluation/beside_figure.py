@@ -14,23 +14,23 @@ THIS, OTHER = "#0b7a75", "#c8553d"
 
 
 def draw_beside(document: Mapping[str, Any]) -> Figure:
-    """Falls and 95th percentile of the foot error of both policies, mode by mode."""
-    both = list(both_rows(document))
+    """95th percentiles of both policies' errors in place and heading, for all modes with steps."""
+    both = [pair for pair in both_rows(document) if all(row["landings"] for row in pair)]
     places = np.arange(len(both))
     figure = Figure(figsize=(9, 4), layout="constrained")
-    falls, errors = figure.subplots(1, 2, sharey=True)
-    for offset, which, colour, label in ((-0.2, 0, THIS, "this"), (0.2, 1, OTHER, "other")):
-        rows = [pair_of_rows[which] for pair_of_rows in both]
-        share = [100 * row["falls"] / row["episodes"] for row in rows]
-        falls.barh(places + offset, share, 0.38, color=colour, label=label)
-        error_cm = [100 * (row["error_m_p95"] or 0.0) for row in rows]
-        errors.barh(places + offset, error_cm, 0.38, color=colour)
-    falls.set(xlabel="episodes that end in a fall, %", xlim=(0, None))
-    errors.set(xlabel="foot error, 95th percentile, cm")
-    falls.set_yticks(places, [mine["mode"] for mine, _ in both])
-    falls.invert_yaxis()
-    falls.legend(frameon=False)
-    for axes in (falls, errors):
+    panels = figure.subplots(1, 2, sharey=True)
+    errors = (
+        ("error_m_p95", 100.0, "foot error, 95th percentile, cm"),
+        ("heading_deg_p95", 1.0, "heading error, 95th percentile, degrees"),
+    )
+    for axes, (key, scale, label) in zip(panels, errors, strict=True):
+        for offset, which, colour, name in ((-0.2, 0, THIS, "this"), (0.2, 1, OTHER, "other")):
+            values = [scale * pair[which][key] for pair in both]
+            axes.barh(places + offset, values, 0.38, color=colour, label=name)
+        axes.set(xlabel=label, xlim=(0, None))
         axes.grid(alpha=0.25, axis="x")
         axes.spines[["top", "right"]].set_visible(False)
+    panels[0].set_yticks(places, [mine["mode"] for mine, _ in both])
+    panels[0].invert_yaxis()
+    panels[1].legend(frameon=False)
     return figure
