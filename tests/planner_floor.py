@@ -22,6 +22,13 @@ def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1)
 FLOOR = walled(30, 40)
 
 
+def scatter(rng: np.random.Generator, cells: np.ndarray, count: int, less_than: int) -> None:
+    """Sets obstacles down on cells (n, n), with sides of 1 to less_than - 1 of them."""
+    for row, col in rng.integers(0, len(cells), (count, 2)):
+        height, width = rng.integers(1, less_than), rng.integers(1, less_than)
+        cells[row : row + height, col : col + width] = Cell.OCCUPIED
+
+
 def blocked_at(*boxes: tuple[int, int, int, int]) -> OccupancyGrid:
     """FLOOR with blocked boxes (row0, col0, row1, col1), ends excluded."""
     return walled(30, 40, boxes)

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from maps.grid import Cell, OccupancyGrid
+from maps.grid import OccupancyGrid
 from planner.api import plan_footsteps
 from planner.lattice.layout import feet_apart
 from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, relative_step
 from planner.verify import violations
-from tests.planner_floor import fine_model
+from tests.planner_floor import fine_model, scatter
 from tests.planner_oracle import small_model
 
 REFINED = PlannerOptions(refine=True)
@@ -30,8 +30,7 @@ def shy_model(**changes):
 def random_floor(seed, cells=60):
     rng = np.random.default_rng(seed)
     floor = np.zeros((cells, cells), np.uint8)
-    for row, col in rng.integers(0, cells, (6, 2)):
-        floor[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = Cell.OCCUPIED
+    scatter(rng, floor, 6, 9)
     origin = (*rng.uniform(-3, 3, 2), rng.uniform(-3, 3)) if seed % 2 else (0.0, 0.0, 0.0)
     return OccupancyGrid(cells=floor, resolution_m=0.05, origin=origin), rng
 

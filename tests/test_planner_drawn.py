@@ -12,7 +12,7 @@ from planner.estimates.guide import MOVES
 from planner.searches.drawn import draw_path, heuristic_on_the_way
 from planner.searches.heuristic import estimate, estimates
 from planner.searches.request import first_nodes
-from tests.planner_floor import CASES, fine_model, walled
+from tests.planner_floor import CASES, fine_model, scatter, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model
 from tests.test_planner_heuristic import request_of
 
@@ -30,8 +30,7 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
     rng = np.random.default_rng(seed)
     grid = walled(100, 100, resolution_m=0.05)
     cells = np.array(grid.cells)
-    for row, col in rng.integers(0, 100, (12, 2)):
-        cells[row : row + rng.integers(1, 20), col : col + rng.integers(1, 20)] = Cell.OCCUPIED
+    scatter(rng, cells, 12, 20)
     cells[3:17, 3:17] = cells[73:87, 73:87] = Cell.FREE
     toward = toward_on(grid.with_cells(cells), fine_model(), (0.5, 0.5, 0.0), (4.0, 4.0, 0.0))
     space, guide = toward.space, toward.tables.potential

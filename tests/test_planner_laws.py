@@ -7,12 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from maps.grid import Cell
 from planner.api import Planner, plan_footsteps
 from planner.model import Side
 from planner.plan import PlanStatus, feet_at, wrap_angle
 from planner.verify import violations
-from tests.planner_floor import CASES, fine_model, repeatable, walled
+from tests.planner_floor import CASES, fine_model, repeatable, scatter, walled
 from tests.planner_oracle import small_model
 
 
@@ -21,8 +20,7 @@ def test_plans_among_random_obstacles_are_right_and_repeat(seed):
     rng = np.random.default_rng(seed)
     grid = walled(60, 60, resolution_m=0.05)
     cells = np.array(grid.cells)
-    for row, col in rng.integers(0, 60, (5, 2)):
-        cells[row : row + rng.integers(1, 9), col : col + rng.integers(1, 9)] = Cell.OCCUPIED
+    scatter(rng, cells, 5, 9)
     grid = grid.with_cells(cells)
     model = fine_model()
     found = 0

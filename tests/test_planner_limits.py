@@ -15,6 +15,7 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
 from planner.searches import ara
 from planner.verify import violations
+from tests.planner_floor import scatter
 from tests.planner_oracle import Oracle, small_model
 
 # A body that is longer than wide fits by its width, as the 2D search sees it, where it cannot turn.
@@ -24,8 +25,7 @@ LONG = small_model(body=BodyShape(length_m=0.9, width_m=0.36))
 def random_floor(seed):
     rng = np.random.default_rng(seed)
     cells = np.zeros((24, 24), np.uint8)
-    for row, col in rng.integers(0, 24, (8, 2)):
-        cells[row : row + rng.integers(1, 7), col : col + rng.integers(1, 7)] = Cell.OCCUPIED
+    scatter(rng, cells, 8, 7)
     return OccupancyGrid(cells=cells, resolution_m=0.1), rng
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.evaluation.parts import Bench, Part, Results
 from controller.gait import GaitTicks
-from controller.gait_record import Step, record_walk
+from controller.gait_record import Step, WalkRecord, record_walk
 from controller.measure_gait import (
     contact_agreement,
     cost_of_transport,
@@ -39,15 +39,7 @@ def gait_parts(bench: Bench) -> list[Part]:
     count = min(RECORDED, 2 * bench.episodes)
 
     def measure(results: Results) -> dict[str, Any]:
-        record = record_walk(
-            robot,
-            bench.policy,
-            step,
-            count=count,
-            seconds=RECORDED_S,
-            seed=bench.seed,
-            threads=bench.threads,
-        )
+        record = _recorded(bench, step, count)
         head = {"step_m": step[0], "walks": count, "falls": int(count - record.upright.sum())}
         if not record.upright.any():
             return head
@@ -79,20 +71,25 @@ def gait_parts(bench: Bench) -> list[Part]:
     return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
 
 
+def _recorded(bench: Bench, step: Step, count: int) -> WalkRecord:
+    """Walks of one step, as `record_walk` records them."""
+    return record_walk(
+        bench.robot,
+        bench.policy,
+        step,
+        count=count,
+        seconds=RECORDED_S,
+        seed=bench.seed,
+        threads=bench.threads,
+    )
+
+
 def energy_parts(bench: Bench) -> list[Part]:
     """Cost of transport and speed of walks forward, backward and sideways."""
     count = min(RECORDED // 2, 2 * bench.episodes)
 
     def measure(results: Results, step: Step, kind: str) -> dict[str, Any]:
-        record = record_walk(
-            bench.robot,
-            bench.policy,
-            step,
-            count=count,
-            seconds=RECORDED_S,
-            seed=bench.seed,
-            threads=bench.threads,
-        )
+        record = _recorded(bench, step, count)
         falls = int(count - record.upright.sum())
         row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
         if not record.upright.any():
