@@ -9,10 +9,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import Terrain, box_free, point_clearance
+from planner.jit import lean
 from planner.lattice.layout import MICRO
 from planner.model import BodyShape, FootShape, StepModel
 
@@ -47,7 +47,7 @@ def _half_box(shape: BodyShape | FootShape, margin_m: float) -> tuple[float, flo
     return shape.length_m / 2 + margin_m, shape.width_m / 2 + margin_m
 
 
-@njit(cache=True)
+@lean
 def can_stand(terrain: Terrain, outline: Outline, x: float, y: float, yaw: float) -> bool:
     """Whether body and both feet are free at a pair pose."""
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -60,7 +60,7 @@ def can_stand(terrain: Terrain, outline: Outline, x: float, y: float, yaw: float
     )
 
 
-@njit(cache=True)
+@lean
 def can_move(
     terrain: Terrain,
     outline: Outline,
@@ -97,7 +97,7 @@ def can_move(
         done = min(length, done + (_STRIDE_M if uneven else max(room, _STRIDE_M)))
 
 
-@njit(cache=True)
+@lean
 def _height(terrain: Terrain, x: float, y: float) -> int:
     """Height of the floor in micrometres at a point; at the edge's cell off the map."""
     rows, cols = terrain.blocked.shape

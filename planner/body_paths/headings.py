@@ -12,11 +12,11 @@ import itertools
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.body_paths.body_motion import Outline, can_stand
 from planner.checks.collision import Terrain
+from planner.jit import allocating, lean
 from planner.lattice.layout import step_cost_um
 from planner.model import StepModel
 from planner.plan import wrap_angle
@@ -101,7 +101,7 @@ def _walking_costs(line: FloatArray, headings: FloatArray, model: StepModel) -> 
     return length[:, None] * walking_rate(model, wrap_angle(direction[:, None] - headings))
 
 
-@njit(cache=True)
+@lean
 def _check(
     terrain: Terrain,
     outline: Outline,
@@ -114,7 +114,7 @@ def _check(
             free[i, h] = can_stand(terrain, outline, line[i, 0], line[i, 1], headings[h])
 
 
-@njit(cache=True)
+@allocating
 def _cheapest(
     free: NDArray[np.bool_], walk_m: FloatArray, start_m: FloatArray, bin_m: float
 ) -> NDArray[np.int64]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import box_free, point_clearance
 from planner.checks.ground import box_heights
+from planner.jit import lean
 from planner.lattice.rise import swing_clears
 from planner.lattice.space import Space, clearance_cost
 
@@ -20,7 +20,7 @@ NO_COST = 1 << 60
 START, NOWHERE = -1, -2  # instead of the point stepped from
 
 
-@njit(cache=True)
+@lean
 def check_feet(
     space: Space, path: FloatArray, feet: FloatArray, ok: NDArray[np.bool_], height_um: Int64s
 ) -> None:
@@ -40,7 +40,7 @@ def check_feet(
                 height_um[i, side] = high
 
 
-@njit(cache=True)
+@lean
 def _extra_cost(
     space: Space,
     support: FloatArray,
@@ -70,7 +70,7 @@ def _extra_cost(
     return clearance_cost(space, point_clearance(space.terrain, x, y))
 
 
-@njit(cache=True)
+@lean
 def check_seeds(
     space: Space,
     standing: FloatArray,
@@ -94,7 +94,7 @@ def check_seeds(
             seeds_um[i, side] = seeds_um[i, side] + extra if extra >= 0 else 0
 
 
-@njit(cache=True)
+@lean
 def walk(
     space: Space,
     feet: FloatArray,

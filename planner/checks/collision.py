@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from maps.distance import distance_field
 from maps.grid import OccupancyGrid
+from planner.jit import lean
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
 CONTACT_M = 1e-9
@@ -63,13 +63,13 @@ def terrain_of(grid: OccupancyGrid, unknown_is_free: bool) -> Terrain:
     )
 
 
-@njit(cache=True)
+@lean
 def point_clearance(terrain: Terrain, x: float, y: float) -> float:
     """Lower bound in metres on the distance from a point to blocked ground; 0 off the map."""
     return clearance_at(terrain.clearance_m, terrain.resolution_m, x, y)
 
 
-@njit(cache=True)
+@lean
 def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: float) -> float:
     """`point_clearance` for loops that have the field (H, W) and its cells' size at hand."""
     rows, cols = clearance_m.shape
@@ -80,7 +80,7 @@ def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: f
     return max(0.0, clearance_m[row, col] - math.sqrt(off_x * off_x + off_y * off_y))
 
 
-@njit(cache=True)
+@lean
 def box_free(
     terrain: Terrain, x: float, y: float, cos: float, sin: float, half_l: float, half_w: float
 ) -> bool:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
 from planner.checks.collision import CONTACT_M, NO_GROUND_UM, Terrain
+from planner.jit import lean
 from planner.model import StepModel
 
 FloatArray = NDArray[np.float64]
@@ -52,7 +52,7 @@ def resting_heights(
     return np.where(np.abs(z_m - low) < np.abs(high - z_m), low, high)
 
 
-@njit(cache=True)
+@lean
 def box_heights(
     terrain: Terrain, x: float, y: float, cos: float, sin: float, half_l: float, half_w: float
 ) -> tuple[int, int]:
@@ -84,7 +84,7 @@ def box_heights(
     return low, high
 
 
-@njit(cache=True)
+@lean
 def highest_between(
     terrain: Terrain,
     start: tuple[float, float],

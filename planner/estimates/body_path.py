@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.estimates.endgame import Endgame
@@ -23,6 +22,7 @@ from planner.estimates.spread import (
     moves_of,
     spread_costs,
 )
+from planner.jit import lean
 from planner.lattice.space import Int64s, Space
 
 MARGIN_MOVES = 8  # with these there is room for steps
@@ -79,7 +79,7 @@ def path_toward(
     return Strip(cost_um, settled_um, space.cols, ahead)
 
 
-@njit(cache=True)
+@lean
 def raise_by_arrival(
     space: Space,
     cost_um: NDArray[np.int32],
@@ -117,7 +117,7 @@ def raise_by_arrival(
     return far_um
 
 
-@njit(cache=True)
+@lean
 def _is_straight(row: int, col: int, path_um: int, ahead: Ahead, inside: NDArray[np.bool_]) -> bool:
     """Whether a cell's path to the goal is straight and within the ring of the endgame."""
     reach = len(inside) // 2
@@ -127,7 +127,7 @@ def _is_straight(row: int, col: int, path_um: int, ahead: Ahead, inside: NDArray
     return path_um - 1 <= ahead_um(ahead, col, row)
 
 
-@njit(cache=True)
+@lean
 def _downhill(space: Space, cost_um: NDArray[np.int32], cell: int) -> int:
     """The cheapest cell two around; -1 where none is cheaper."""
     best = cell
@@ -183,7 +183,7 @@ def ring_on_map(space: Space, endgame: Endgame) -> tuple[Int64s, Int64s]:
     return (row * space.cols + col)[on_map], endgame.ring[on_map, 2]
 
 
-@njit(cache=True)
+@lean
 def _raise_outside(
     space: Space,
     cost_um: NDArray[np.int32],

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.estimates.guide import Potential
+from planner.jit import allocating
 from planner.lattice.layout import IntArray, StepTable, final_cost_um
 from planner.model import StepModel
 
@@ -109,7 +109,7 @@ def _body_costs(cost_um: NDArray[np.int32], guide: Potential, reach: int) -> Int
     return least
 
 
-@njit(cache=True)
+@allocating
 def _fill(
     cost_um: NDArray[np.int32], size: int, steps: IntArray, final_um: int, cap_um: int
 ) -> None:

@@ -18,11 +18,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.estimates.endgame import backward_steps, longest_move
 from planner.estimates.guide import Potential, grid_length
+from planner.jit import allocating, lean
 from planner.lattice.layout import IntArray, StepTable
 
 SECTORS = 16
@@ -85,7 +85,7 @@ def straight_cost(cols: IntArray, rows: IntArray, guide: Potential) -> IntArray:
     return np.where(2 * near <= far, flat, steep).astype(np.int64)
 
 
-@njit(cache=True)
+@allocating
 def _leave(
     turn_um: IntArray,
     inside: NDArray[np.bool_],
@@ -163,7 +163,7 @@ def _leave(
         turn_um[row] = min(cost_um[size // 2, size // 2, row] + low, _FAR_UM)
 
 
-@njit(cache=True)
+@allocating
 def measure_detours(
     detour_um: NDArray[np.int32],
     cell: int,
@@ -189,7 +189,7 @@ def measure_detours(
         detour_um[cell, sector] = best[sector] + 1
 
 
-@njit(cache=True)
+@lean
 def exit_bound(
     detour_um: NDArray[np.int32],
     turn_um: IntArray,

@@ -6,11 +6,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import Terrain, clearance_at, point_clearance
 from planner.estimates.guide import MOVES, Potential
+from planner.jit import allocating, lean
 from planner.lattice.space import Int64s, Space
 
 NOWHERE_UM = 1 << 30
@@ -50,7 +50,7 @@ def moves_of(guide: Potential) -> Moves:
     return Moves(MOVES, guide.move_um, guide.reach_m)
 
 
-@njit(cache=True)
+@lean
 def ahead_um(ahead: Ahead, col: int, row: int) -> int:
     """Cost of the straight way from a cell, less the slack."""
     if ahead.level_um == 0:
@@ -64,7 +64,7 @@ def ahead_um(ahead: Ahead, col: int, row: int) -> int:
     return max(cost - ahead.slack_um, 0)
 
 
-@njit(cache=True)
+@allocating
 def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
     """`ahead_um` of cells (n,)."""
     values_um = np.empty(len(cells), np.int64)
@@ -82,7 +82,7 @@ def ahead_of(space: Space, guide: Potential, cells: Int64s) -> Ahead:
     return ahead._replace(slack_um=int(all_ahead_um(ahead, space.cols, cells).max()))
 
 
-@njit(cache=True)
+@allocating
 def spread_costs(
     space: Space,
     cost_um: NDArray[np.int32],
@@ -162,7 +162,7 @@ def spread_costs(
     return NOWHERE_UM
 
 
-@njit(cache=True)
+@allocating
 def _queue_seeds(
     space: Space,
     cost_um: NDArray[np.int32],
@@ -208,7 +208,7 @@ def _queue_seeds(
     return (head, cells, costs, after, used), shift, low >> shift
 
 
-@njit(cache=True)
+@lean
 def _on_map(
     plane: tuple[tuple[float, float, float, float], float, int, int], col: int, row: int
 ) -> tuple[float, float]:
@@ -218,14 +218,14 @@ def _on_map(
     return ox + cos * x - sin * y, oy + sin * x + cos * y
 
 
-@njit(cache=True)
+@lean
 def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
     """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
     row = cell // space.cols
     return _is_shut(space, cell - row * space.cols, row, reach_m)
 
 
-@njit(cache=True)
+@lean
 def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
     if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
         return True
@@ -234,7 +234,7 @@ def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
     return is_nearer(space.terrain, x, y, reach_m)
 
 
-@njit(cache=True)
+@lean
 def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
     """Whether blocked ground or the map's edge is nearer to a point than reach_m, exactly.
 

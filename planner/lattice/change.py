@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import Terrain
+from planner.jit import lean
 from planner.lattice.slots import slot_of
 from planner.lattice.space import D_COL, D_ROW, UNKNOWN, Int64s, Space
 
@@ -51,7 +51,7 @@ def over(space: Space, terrain: Terrain, change: Change) -> Space:
     return space._replace(terrain=terrain)
 
 
-@njit(cache=True)
+@lean
 def _forget(space: Space, cells: Int64s) -> None:
     """Nodes in the cells (n,) are to be checked again."""
     rows = 2 * space.headings

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import box_free, clearance_at
+from planner.jit import allocating, lean
 from planner.lattice.layout import allowed, step_cost_um
 from planner.lattice.rise import first_climbs
 from planner.lattice.space import Space, clearance_cost, node_free, radius_of
@@ -56,7 +56,7 @@ def first_steps(
     return nodes[free], costs_um[free]
 
 
-@njit(cache=True)
+@allocating
 def _nodes_around(
     space: Space,
     support: FloatArray,
@@ -116,7 +116,7 @@ def _relative(support: FloatArray, poses: FloatArray, swing: Side) -> FloatArray
     )
 
 
-@njit(cache=True)
+@lean
 def _check_first(
     space: Space,
     nodes: Int64s,
@@ -147,7 +147,7 @@ def _check_first(
                 costs_um[i] += clearance_cost(space, clear_m)
 
 
-@njit(cache=True)
+@lean
 def _check_climbs(
     space: Space,
     nodes: Int64s,

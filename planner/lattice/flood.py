@@ -14,9 +14,9 @@ from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import lean
 from planner.lattice.pages import zeros
 from planner.lattice.rise import step_climbs
 from planner.lattice.space import (
@@ -109,7 +109,7 @@ def _with_room(stack: NDArray[np.int32], room: int, used: int | None = None) -> 
     return longer
 
 
-@njit(cache=True)
+@lean
 def _go_on(
     space: Space,
     seen: NDArray[np.uint8],

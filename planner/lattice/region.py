@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import NO_GROUND_UM, box_free
 from planner.checks.ground import box_heights
+from planner.jit import allocating, lean
 from planner.lattice.slots import slot_of
 from planner.lattice.space import Int64s, Space, node_free, to_grid
 
@@ -57,7 +57,7 @@ def ends_in(space: Space, region: Region) -> Int64s:
 POINT = Region()
 
 
-@njit(cache=True)
+@lean
 def beside(space: Space, node: int) -> tuple[float, float, float, float]:
     """Where the other foot stands beside that of a node, and where the body is: x, y, x, y.
 
@@ -73,7 +73,7 @@ def beside(space: Space, node: int) -> tuple[float, float, float, float]:
     return x + 2.0 * over_x, y + 2.0 * over_y, x + over_x, y + over_y
 
 
-@njit(cache=True)
+@lean
 def may_end_at(space: Space, node: int) -> bool:
     """Whether both feet may stand side by side, one of them at a node."""
     if not node_free(space, node):
@@ -92,7 +92,7 @@ def may_end_at(space: Space, node: int) -> bool:
     return low != NO_GROUND_UM and high - low <= level and rise <= min(-lowest, highest, level)
 
 
-@njit(cache=True)
+@lean
 def height_beside(space: Space, node: int) -> int:
     """Height in micrometres of the ground under the other foot beside that of a node."""
     if len(space.node_um) == 0:
@@ -104,7 +104,7 @@ def height_beside(space: Space, node: int) -> int:
     return box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])[1]
 
 
-@njit(cache=True)
+@allocating
 def _may_end(space: Space, nodes: Int64s, reach_m: float, reach_rad: float) -> NDArray[np.bool_]:
     """Which of the nodes (n,) stand for free poses of the region."""
     free = np.zeros(len(nodes), np.bool_)

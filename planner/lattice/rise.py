@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from planner.checks.collision import NEAR_M, Terrain
 from planner.checks.ground import highest_between
+from planner.jit import lean
 from planner.lattice.slots import slot_of
 from planner.lattice.space import Space, to_grid
 
 Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
 
 
-@njit(cache=True)
+@lean
 def node_foot(space: Space, node: int) -> tuple[float, float, float, float]:
     """Where the foot of a node is, x and y in the grid frame, and cosine and sine of its yaw."""
     heading = (node >> 1) % space.headings
@@ -32,7 +31,7 @@ def node_foot(space: Space, node: int) -> tuple[float, float, float, float]:
     return x, y, space.cos[2 * heading], space.sin[2 * heading]
 
 
-@njit(cache=True)
+@lean
 def step_climbs(space: Space, support: int, swing: int) -> bool:
     """Whether the step between two free nodes is within the limits of rise and of its swing.
 
@@ -50,7 +49,7 @@ def step_climbs(space: Space, support: int, swing: int) -> bool:
     return swing_clears(space, foot, node_foot(space, swing), swing & 1, highest)
 
 
-@njit(cache=True)
+@lean
 def first_climbs(space: Space, support: Foot, support_um: int, swing: int) -> bool:
     """As `step_climbs`, from a foot that stands anywhere."""
     swing_um = space.node_um[slot_of(space.slots, swing)]
@@ -61,7 +60,7 @@ def first_climbs(space: Space, support: Foot, support_um: int, swing: int) -> bo
     return swing_clears(space, support, node_foot(space, swing), swing & 1, highest)
 
 
-@njit(cache=True)
+@lean
 def _lower_around(space: Space, foot: Foot, highest: int) -> bool:
     """Whether all ground that a step from this foot can have to do with is no higher."""
     terrain: Terrain = space.terrain
@@ -73,7 +72,7 @@ def _lower_around(space: Space, foot: Foot, highest: int) -> bool:
     return terrain.highest_um[row, col] <= highest
 
 
-@njit(cache=True)
+@lean
 def swing_clears(space: Space, support: Foot, swing: Foot, side: int, highest: int) -> bool:
     """Whether the ground on both ways that a step answers for is no higher than that (um).
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import allocating, lean
 from planner.lattice.pages import zeros
 
 BITS = 7
@@ -40,14 +40,14 @@ def slots_for(nodes: int) -> Slots:
     return Slots(zeros((nodes >> BITS) + 1, np.int32), np.zeros(1, np.int64))
 
 
-@njit(cache=True)
+@lean
 def slot_of(slots: Slots, node: int) -> int:
     """The slot of a node; one in which nothing is known if it has none."""
     block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
     return block << BITS | node & LOW
 
 
-@njit(cache=True)
+@lean
 def take_slot(slots: Slots, node: int) -> int:
     """The slot of a node, which it gets if it has none."""
     block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
@@ -56,7 +56,7 @@ def take_slot(slots: Slots, node: int) -> int:
     return block << BITS | node & LOW
 
 
-@njit(cache=True)
+@lean
 def next_block(of_block: NDArray[np.int32], used: NDArray[np.int64], node: int) -> int:
     """The number of new slots for the block of a node."""
     used[0] += 1
@@ -64,7 +64,7 @@ def next_block(of_block: NDArray[np.int32], used: NDArray[np.int64], node: int) 
     return used[0]
 
 
-@njit(cache=True)
+@allocating
 def slots_of(slots: Slots, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     """`slot_of` nodes (n,)."""
     found = np.empty(len(nodes), np.int64)

@@ -11,12 +11,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
 from planner.checks.collision import Terrain, box_free, clearance_at, point_clearance
 from planner.checks.ground import box_heights
+from planner.jit import lean
 from planner.lattice.layout import MICRO, StepTable
 from planner.lattice.pages import zeros
 from planner.lattice.slots import Slots, slots_for, take_slot
@@ -196,14 +196,14 @@ def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, 
     return length_m / 2 + margin_m, width_m / 2 + margin_m
 
 
-@njit(cache=True)
+@lean
 def to_grid(space: Space, x: float, y: float) -> tuple[float, float]:
     """Point of the lattice frame in the grid frame."""
     ox, oy, cos, sin = space.frame
     return ox + cos * x - sin * y, oy + sin * x + cos * y
 
 
-@njit(cache=True)
+@lean
 def node_free(space: Space, node: int) -> bool:
     """Whether the foot's box and the body's box over this one foot are free; cached.
 
@@ -216,7 +216,7 @@ def node_free(space: Space, node: int) -> bool:
     return state == FREE
 
 
-@njit(cache=True)
+@lean
 def check_node(space: Space, node: int, slot: int) -> int:
     """FREE or BLOCKED, which it also notes in the node's slot."""
     state = FREE if _node_is_free(space, node, slot) else BLOCKED
@@ -224,7 +224,7 @@ def check_node(space: Space, node: int, slot: int) -> int:
     return state
 
 
-@njit(cache=True)
+@lean
 def far_from_all(
     clearance_m: NDArray[np.float32],
     size_m: float,
@@ -245,13 +245,13 @@ def far_from_all(
     return clearance_at(clearance_m, size_m, body_x, body_y) > radii_m[1]
 
 
-@njit(cache=True)
+@lean
 def radius_of(half_box: tuple[float, float]) -> float:
     """Radius of the circle around a box, a hair more."""
     return math.sqrt(half_box[0] ** 2 + half_box[1] ** 2) + 1e-6
 
 
-@njit(cache=True)
+@lean
 def _node_is_free(space: Space, node: int, slot: int) -> bool:
     side = node & 1
     heading = (node >> 1) % space.headings
@@ -273,7 +273,7 @@ def _node_is_free(space: Space, node: int, slot: int) -> bool:
     return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
 
 
-@njit(cache=True)
+@lean
 def half_clearance(space: Space, half: int) -> float:
     """Clearance in metres of a point of the grid of half cells.
 
@@ -285,7 +285,7 @@ def half_clearance(space: Space, half: int) -> float:
     return point_clearance(space.terrain, x, y)
 
 
-@njit(cache=True)
+@lean
 def pair_free(space: Space, half: int, half_heading: int) -> bool:
     """Whether the body's box at the pair pose of a step is free; cached."""
     key = (half * 2 * space.headings + half_heading) * 2
@@ -304,7 +304,7 @@ def pair_free(space: Space, half: int, half_heading: int) -> bool:
     return free
 
 
-@njit(cache=True)
+@lean
 def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
     """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
     if half_clearance(space, half) > radius_of(space.body):
@@ -312,7 +312,7 @@ def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
     return pair_free(space, half, half_heading)
 
 
-@njit(cache=True)
+@lean
 def clearance_cost(space: Space, clearance_m: float) -> int:
     """Extra cost in micrometres of a step whose pair pose has this clearance."""
     wanted_m, worst_m, cost_um = space.clearance

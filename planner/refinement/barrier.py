@@ -11,10 +11,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import Terrain, point_clearance
+from planner.jit import allocating, lean
 from planner.lattice.layout import MICRO
 from planner.lattice.space import Space
 from planner.refinement.chain import Rules, gap_axis, turn_between
@@ -57,7 +57,7 @@ class Work(NamedTuple):
     along: FloatArray
 
 
-@njit(cache=True)
+@allocating
 def new_work(space: Space, steps: int) -> Work:
     """Empty arrays for so many steps."""
     free, bound = 3 * (steps - 2), steps - 1
@@ -82,7 +82,7 @@ def new_work(space: Space, steps: int) -> Work:
 # loop over the steps costs more than what is done with it.
 
 
-@njit(cache=True)
+@lean
 def note_rules(rules: Rules, work: Work, poses: FloatArray, first_outward: float) -> None:
     """Fills step, value, slope and active of all steps; step i leads from pose i to pose i + 1."""
     terrain, foot, body = rules.space.terrain, rules.space.foot, rules.space.body
@@ -115,7 +115,7 @@ def note_rules(rules: Rules, work: Work, poses: FloatArray, first_outward: float
         outward = -outward
 
 
-@njit(cache=True)
+@lean
 def _note_step(poses: FloatArray, i: int, outward: float, step: FloatArray) -> None:
     """Fills step i of (N - 1, 3, 7): derivatives of x, y, yaw by both poses, and their values."""
     dx, dy = poses[i + 1, 0] - poses[i, 0], poses[i + 1, 1] - poses[i, 1]
@@ -130,14 +130,14 @@ def _note_step(poses: FloatArray, i: int, outward: float, step: FloatArray) -> N
         step[i, 2, k] = outward * number
 
 
-@njit(cache=True)
+@lean
 def _midway(poses: FloatArray, i: int) -> tuple[float, float, float]:
     """Pair pose of poses i and i + 1."""
     x, y = 0.5 * (poses[i, 0] + poses[i + 1, 0]), 0.5 * (poses[i, 1] + poses[i + 1, 1])
     return x, y, poses[i, 2] + 0.5 * turn_between(poses[i, 2], poses[i + 1, 2])
 
 
-@njit(cache=True)
+@lean
 def _note_limits(
     limits: FloatArray,
     sole: tuple[float, float],
@@ -165,7 +165,7 @@ def _note_limits(
         slope[i, GAP, k] = by_x * step[i, 0, k] + by_y * step[i, 1, k] + by_yaw * step[i, 2, k]
 
 
-@njit(cache=True)
+@lean
 def _take_room(
     i: int,
     first: int,
@@ -194,7 +194,7 @@ def _take_room(
         slope[i, row, 5] += room[way, 1] * x_by_yaw + room[way, 2] * y_by_yaw
 
 
-@njit(cache=True)
+@lean
 def add(block: FloatArray, curve: float, slope: FloatArray, i: int, row: int, force: float) -> None:
     """Adds curve * along * along^T and force * along to a block (6, 7); along: slope[i, row]."""
     for a in range(6):
@@ -204,7 +204,7 @@ def add(block: FloatArray, curve: float, slope: FloatArray, i: int, row: int, fo
             block[a, b] += curve * along * slope[i, row, b]
 
 
-@njit(cache=True)
+@lean
 def take_block(block: FloatArray, i: int, matrix: FloatArray, right: FloatArray) -> None:
     """Adds the block of step i to the system; what belongs to fixed poses is left out."""
     base, size = 3 * (i - 1), len(right)
@@ -214,7 +214,7 @@ def take_block(block: FloatArray, i: int, matrix: FloatArray, right: FloatArray)
             matrix[base + a, a - b] += block[a, b]
 
 
-@njit(cache=True)
+@lean
 def note_costs(
     weights: tuple[float, float, float, float, float],
     i: int,
@@ -255,7 +255,7 @@ def note_costs(
     return cost_m + per_back * max(-x, 0.0)
 
 
-@njit(cache=True)
+@lean
 def note_clearance(
     terrain: Terrain,
     clearance: tuple[float, float, float],
@@ -288,7 +288,7 @@ def note_clearance(
     return most_um / MICRO * min(max(short_m / (wanted_m - worst_m), 0.0), 1.0)
 
 
-@njit(cache=True)
+@lean
 def _smooth(field: NDArray[np.float32], size: float, x: float, y: float) -> float:
     """Clearance at a point, linear between the centres of cells."""
     rows, cols = field.shape

@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import NO_GROUND_UM, box_free, point_clearance
 from planner.checks.ground import box_heights
+from planner.jit import lean
 from planner.lattice.layout import MICRO
 from planner.lattice.rise import swing_clears
 from planner.lattice.space import Space, clearance_cost
@@ -72,14 +72,14 @@ def build_rules(
     )
 
 
-@njit(cache=True)
+@lean
 def turn_between(yaw: float, other: float) -> float:
     """Angle from one heading to another in [-pi, pi)."""
     turn = other - yaw
     return turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
 
 
-@njit(cache=True)
+@lean
 def step_between(
     support: FloatArray, swing: FloatArray, outward: float
 ) -> tuple[float, float, float]:
@@ -90,7 +90,7 @@ def step_between(
     return cos * dx + sin * dy, outward * (cos * dy - sin * dx), outward * turn
 
 
-@njit(cache=True)
+@lean
 def gap_axis(
     x: float, y: float, yaw: float, half_l: float, half_w: float
 ) -> tuple[float, float, float, float]:
@@ -130,7 +130,7 @@ def gap_axis(
     return best, d_x, d_y, d_yaw
 
 
-@njit(cache=True)
+@lean
 def foot_pose_free(space: Space, pose: FloatArray, outward: float) -> bool:
     """Whether a foot may stand at a pose (3,): its box and the body's box over it are free."""
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
@@ -141,7 +141,7 @@ def foot_pose_free(space: Space, pose: FloatArray, outward: float) -> bool:
     return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
 
 
-@njit(cache=True)
+@lean
 def foot_height_um(space: Space, pose: FloatArray) -> int:
     """Height of the ground under a foot in micrometres; NO_GROUND_UM where it is not level."""
     if len(space.node_um) == 0:
@@ -152,7 +152,7 @@ def foot_height_um(space: Space, pose: FloatArray) -> int:
     return high if high - low <= space.climb_um[2] else NO_GROUND_UM
 
 
-@njit(cache=True)
+@lean
 def _climbs(
     space: Space,
     support: FloatArray,
@@ -176,14 +176,14 @@ def _climbs(
     )
 
 
-@njit(cache=True)
+@lean
 def pair_pose_of(support: FloatArray, swing: FloatArray) -> tuple[float, float, float]:
     """Point midway between two feet (3,) and their mean heading."""
     yaw = support[2] + 0.5 * turn_between(support[2], swing[2])
     return 0.5 * (support[0] + swing[0]), 0.5 * (support[1] + swing[1]), yaw
 
 
-@njit(cache=True)
+@lean
 def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
     """Whether a step is within the limits and keeps the feet apart."""
     limits, foot = rules.limits, rules.foot
@@ -195,7 +195,7 @@ def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
     )
 
 
-@njit(cache=True)
+@lean
 def chain_cost_um(rules: Rules, poses: FloatArray, first_outward: float) -> int:
     """Cost of a chain (N + 1, 3) as the search counts it, or NOT_ALLOWED if it breaks a rule.
 

@@ -12,10 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import NO_GROUND_UM, Terrain, point_clearance
+from planner.jit import lean
 
 FloatArray = NDArray[np.float64]
 WAYS = 8  # ahead, back, left, right of the box, then +x, -x, +y, -y of the map
@@ -43,7 +43,7 @@ class _Box(NamedTuple):
     by_yaw_cell: float
 
 
-@njit(cache=True)
+@lean
 def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: float) -> _Box:
     cos, sin = math.cos(yaw), math.sin(yaw)
     cos_sign, sin_sign = (1.0 if cos >= 0 else -1.0), (1.0 if sin >= 0 else -1.0)
@@ -63,7 +63,7 @@ def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: flo
     )
 
 
-@njit(cache=True)
+@lean
 def room_off_blocked(
     terrain: Terrain,
     x: float,
@@ -100,7 +100,7 @@ def room_off_blocked(
     return True
 
 
-@njit(cache=True)
+@lean
 def room_on_level(
     terrain: Terrain,
     x: float,
@@ -137,7 +137,7 @@ def room_on_level(
     return True
 
 
-@njit(cache=True)
+@lean
 def _window(terrain: Terrain, box: _Box, reach_m: float) -> tuple[int, int, int, int]:
     """First and last row and column of the cells that may lie within reach of a box."""
     rows, cols = terrain.blocked.shape
@@ -150,7 +150,7 @@ def _window(terrain: Terrain, box: _Box, reach_m: float) -> tuple[int, int, int,
     )
 
 
-@njit(cache=True)
+@lean
 def _note_edges(terrain: Terrain, box: _Box, room: FloatArray) -> None:
     """Notes the edges of the map, which no box may cross."""
     rows, cols = terrain.blocked.shape
@@ -165,7 +165,7 @@ def _note_edges(terrain: Terrain, box: _Box, room: FloatArray) -> None:
             _note_on_map_axis(box, way, gap, room)
 
 
-@njit(cache=True)
+@lean
 def _note_cell(box: _Box, dx: float, dy: float, half: float, room: FloatArray) -> None:
     """Notes a cell whose centre is at (dx, dy) from that of the box, if it is the nearest yet."""
     along, across = box.cos * dx + box.sin * dy, box.cos * dy - box.sin * dx
@@ -191,7 +191,7 @@ def _note_cell(box: _Box, dx: float, dy: float, half: float, room: FloatArray) -
         room[way, 3] = -sign * along - box.by_yaw_cell
 
 
-@njit(cache=True)
+@lean
 def _note_on_map_axis(box: _Box, way: int, gap: float, room: FloatArray) -> None:
     sign = -1.0 if way % 2 == 0 else 1.0
     room[way, 0] = gap

@@ -18,9 +18,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import allocating
 from planner.lattice.layout import MICRO
 from planner.plan import wrap_angle
 from planner.refinement.chain import (
@@ -146,7 +146,7 @@ def _moved(
     return _Chain(best, outward, cost_um)
 
 
-@njit(cache=True)
+@allocating
 def _laid_out(
     feet: FloatArray, poses: FloatArray, outward: float, steps: int, swap: bool
 ) -> FloatArray:

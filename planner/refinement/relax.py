@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import allocating, lean
 from planner.lattice.layout import MICRO
 from planner.refinement.barrier import (
     Work,
@@ -35,7 +35,7 @@ _LEAST_SLACK_M = 0.01
 _TO_EDGE = 0.95  # part of the way to the edge of what is allowed that one iteration goes at most
 
 
-@njit(cache=True)
+@allocating
 def relax(
     rules: Rules,
     poses: FloatArray,
@@ -73,7 +73,7 @@ def relax(
     return chain_cost_um(rules, best, first_outward)
 
 
-@njit(cache=True)
+@allocating
 def _build(
     rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu: float
 ) -> tuple[float, float]:
@@ -109,7 +109,7 @@ def _build(
     return worst, cost_m
 
 
-@njit(cache=True)
+@lean
 def _solve(matrix: FloatArray, right: FloatArray) -> bool:
     """Solves the banded system in place by Cholesky's method; whether it could be."""
     size, band = matrix.shape
@@ -135,7 +135,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True)
+@lean
 def _advance(work: Work, poses: FloatArray, mu: float) -> float:
     """Goes along the solution as far as it may; returns the mean of slack times force.
 

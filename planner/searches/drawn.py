@@ -10,7 +10,6 @@ for steps goes. The nearer it comes to what is asked for the fewer cells there a
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.estimates.body_path import BodyPath, ring_on_map
@@ -25,6 +24,7 @@ from planner.estimates.spread import (
     moves_of,
     spread_costs,
 )
+from planner.jit import lean
 from planner.lattice.space import Int64s, Space
 from planner.searches.heuristic import Heuristic
 from planner.searches.toward import Toward, body_cells_of
@@ -77,7 +77,7 @@ def heuristic_on_the_way(toward: Toward, nodes: Int64s) -> Heuristic:
     return toward.heuristic_by(path)
 
 
-@njit(cache=True)
+@lean
 def _bound_unsettled(cost_um: NDArray[np.int32], cols: int, settled_um: int, ahead: Ahead) -> None:
     """Puts the bound in place of costs that are not known to be the least."""
     for cell in range(len(cost_um)):
@@ -89,7 +89,7 @@ def _bound_unsettled(cost_um: NDArray[np.int32], cols: int, settled_um: int, ahe
             cost_um[cell] = max(least_um, 0) + 1
 
 
-@njit(cache=True)
+@lean
 def _lower_inside(
     space: Space, cost_um: NDArray[np.int32], inside: NDArray[np.bool_], ahead: Ahead
 ) -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import allocating, lean
 from planner.lattice.rise import step_climbs
 from planner.lattice.slots import BITS, slot_of, take_slot
 from planner.lattice.space import (
@@ -26,7 +26,7 @@ from planner.searches.search import BUCKETS, NO_COST, Tree
 _NOT_ALLOWED = -1
 
 
-@njit(cache=True)
+@lean
 def find_best(tree: Tree) -> None:
     """Notes the goal of the tree that gives the cheapest plan, if the tree has come to any."""
     scalars = tree.scalars
@@ -38,7 +38,7 @@ def find_best(tree: Tree) -> None:
             scalars[search.BEST_NODE] = tree.goals[i]
 
 
-@njit(cache=True)
+@lean
 def shift_um(space: Space, heuristic: Heuristic, tree: Tree) -> int:
     """By how much a heuristic must be lowered to hold for the first steps that are the goals."""
     shift = -NO_COST
@@ -48,7 +48,7 @@ def shift_um(space: Space, heuristic: Heuristic, tree: Tree) -> int:
     return shift
 
 
-@njit(cache=True)
+@lean
 def step_um(space: Space, tree: Tree, node: int, to: int) -> int:
     """Cost of the step of the tree that joins two nodes; below 0 where it is not allowed."""
     row, cell = node % (2 * space.headings), node // (2 * space.headings)
@@ -70,7 +70,7 @@ def step_um(space: Space, tree: Tree, node: int, to: int) -> int:
     return _NOT_ALLOWED
 
 
-@njit(cache=True)
+@lean
 def graft(space: Space, tree: Tree, nodes: NDArray[np.int64]) -> None:
     """Lowers the costs of a way's nodes (n,), in the order of the steps, to what it costs.
 
@@ -87,7 +87,7 @@ def graft(space: Space, tree: Tree, nodes: NDArray[np.int64]) -> None:
             search.put(tree, to, BUCKETS)
 
 
-@njit(cache=True)
+@allocating
 def renew(tree: Tree) -> None:
     """Counts rounds from 0 again, and drops entries of nodes that are not open or not known."""
     scalars, head = tree.scalars, tree.head
@@ -118,7 +118,7 @@ def renew(tree: Tree) -> None:
         tree.round[slot_of(tree.slots, kept[i])] = 0
 
 
-@njit(cache=True)
+@lean
 def reopen(tree: Tree, nodes: NDArray[np.int32]) -> None:
     """Makes known nodes (n,) open; there must be room for them."""
     for i in range(len(nodes)):

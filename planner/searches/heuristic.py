@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.estimates.exits import exit_bound
+from planner.jit import allocating, lean
 from planner.lattice.space import Space
 
 
@@ -30,7 +30,7 @@ class Heuristic(NamedTuple):
     radius_cells: int
 
 
-@njit(cache=True)
+@lean
 def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     """Cost in micrometres that no way from a node to the end of a plan falls below."""
     row, cell = node % (2 * space.headings), node // (2 * space.headings)
@@ -58,7 +58,7 @@ def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     return max(path + heuristic.potential_um[row], exact, least)
 
 
-@njit(cache=True)
+@allocating
 def estimates(space: Space, heuristic: Heuristic, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     """`estimate` of nodes (n,)."""
     values_um = np.empty(len(nodes), np.int64)

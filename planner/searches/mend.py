@@ -8,9 +8,9 @@ something became free: the search then finds the rest anew.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import allocating, lean
 from planner.lattice.region import may_end_at
 from planner.lattice.slots import slot_of
 from planner.lattice.space import COST_UM, D_NODE, Space, node_free
@@ -21,7 +21,7 @@ Nodes = NDArray[np.int32]
 _MARK = 255  # of `Tree.round`, which no round has
 
 
-@njit(cache=True)
+@allocating
 def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
     """Takes out of the tree what a change near some cells (n,) cuts off; the nodes taken out."""
     rows = 2 * space.headings
@@ -56,7 +56,7 @@ def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
     return removed[:number]
 
 
-@njit(cache=True)
+@lean
 def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
     """Whether a node can still be reached from the one before it, and for no more.
 
@@ -73,7 +73,7 @@ def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
     return cost >= 0 and cost_before_um + cost <= known
 
 
-@njit(cache=True)
+@allocating
 def border(
     space: Space,
     tree: Tree,
@@ -118,7 +118,7 @@ def border(
     return found[:number]
 
 
-@njit(cache=True)
+@lean
 def _may_lower(space: Space, tree: Tree, node: int, cost_um: int) -> bool:
     """Whether a step from a node would come to a free one that is not known, or is for less."""
     row = node % (2 * space.headings)
@@ -133,7 +133,7 @@ def _may_lower(space: Space, tree: Tree, node: int, cost_um: int) -> bool:
     return False
 
 
-@njit(cache=True)
+@allocating
 def _with_room(nodes: Nodes, used: int) -> Nodes:
     """The array, twice as long once it is full."""
     if used < len(nodes):

@@ -13,9 +13,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from planner.jit import lean
 from planner.lattice.space import Space
 
 _SIZE_M, _SIZE_RAD = 0.15, math.pi / 4
@@ -45,7 +45,7 @@ def places_of(space: Space) -> Places:
     return Places(np.zeros(number, np.int32), cells, headings)
 
 
-@njit(cache=True)
+@lean
 def takes_place(space: Space, places: Places, node: int, estimate_um: int) -> bool:
     """Whether the node has clearly less before it than those expanded in its place, which it notes.
 

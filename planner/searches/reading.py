@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from planner.jit import allocating
 from planner.lattice.slots import LOW, slot_of
 from planner.lattice.space import Int64s, Space
 from planner.searches.search import FROM_START, Tree
 
 
-@njit(cache=True)
+@allocating
 def trace(tree: Tree, node: int) -> Int64s:
     """Nodes (n,) from a root to a node, both included."""
     number = 0
@@ -27,7 +27,7 @@ def trace(tree: Tree, node: int) -> Int64s:
     return path
 
 
-@njit(cache=True)
+@allocating
 def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
     """Costs of nodes (n,) in micrometres, 0 where none is known."""
     costs_um = np.empty(len(nodes), np.int64)
@@ -36,7 +36,7 @@ def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
     return costs_um
 
 
-@njit(cache=True)
+@allocating
 def expanded_in_cells(space: Space, tree: Tree) -> Int64s:
     """How many nodes were expanded in each of the lattice's cells (rows * cols,)."""
     done = np.zeros(space.cols * space.rows, np.int64)

@@ -15,11 +15,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from planner.checks.collision import clearance_at
 from planner.estimates.exits import exit_bound
+from planner.jit import allocating, lean
 from planner.lattice.rise import step_climbs
 from planner.lattice.slots import BITS, LOW, Slots, next_block, slot_of, take_slot
 from planner.lattice.space import (
@@ -87,7 +87,7 @@ class Tree(NamedTuple):
     places: Places
 
 
-@njit(cache=True)
+@lean
 def _push(tree: Tree, node: int, key_um: int) -> None:
     scalars = tree.scalars
     bucket = (key_um - scalars[BASE_UM]) >> scalars[SHIFT]
@@ -96,7 +96,7 @@ def _push(tree: Tree, node: int, key_um: int) -> None:
     put(tree, node, bucket)
 
 
-@njit(cache=True)
+@lean
 def put(tree: Tree, node: int, bucket: int) -> None:
     """Adds an entry for a node to a bucket; there must be room for it."""
     entry = tree.scalars[USED]
@@ -106,7 +106,7 @@ def put(tree: Tree, node: int, bucket: int) -> None:
     tree.scalars[USED] = entry + 1
 
 
-@njit(cache=True)
+@lean
 def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> None:
     """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
     for i in range(len(nodes)):
@@ -120,7 +120,7 @@ def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> N
             _offer(tree, node, cost)
 
 
-@njit(cache=True)
+@lean
 def _offer(tree: Tree, node: int, cost_um: int) -> bool:
     """Takes the node for the end of the plan if it is one of the goals and the best so far."""
     scalars, goals = tree.scalars, tree.goals
@@ -134,13 +134,13 @@ def _offer(tree: Tree, node: int, cost_um: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@lean
 def _limit_um(scalars: NDArray[np.int64]) -> int:
     """What a state's cost and heuristic must stay below for the state to be kept."""
     return min(scalars[BEST_UM] + scalars[SLACK_UM], NO_COST)
 
 
-@njit(cache=True)
+@allocating
 def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
     """Moves OPEN and INCONS into fresh buckets for a weight epsilon.
 
@@ -189,7 +189,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     return least
 
 
-@njit(cache=True)
+@lean
 def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
     """Expands states until this round's search is over, the plan improves or budget is spent."""
     scalars, head, rounds = tree.scalars, tree.head, tree.round
@@ -232,7 +232,7 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
         cursor = scalars[CURSOR]
 
 
-@njit(cache=True)
+@allocating
 def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
     """Doubles the buckets' width once only the last is in use, which holds every higher key.
 
@@ -261,7 +261,7 @@ def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> No
         put(tree, nodes[i], BUCKETS)
 
 
-@njit(cache=True)
+@lean
 def _expand_node(
     space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, node: int, slot: int
 ) -> bool:
