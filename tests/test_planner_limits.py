@@ -13,7 +13,7 @@ from planner.lattice.flood import Verdict, new_flood, spread
 from planner.model import BodyShape
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
-from planner.searches import ara
+from planner.searches import run
 from planner.verify import violations
 from tests.planner_floor import scatter
 from tests.planner_oracle import Oracle, small_model
@@ -45,7 +45,7 @@ BENT, IN_ROOM, ROUND_CORNER = bent_corridor(), (0.8, 0.8, 0.0), (2.25, 2.1, math
 def impatient(monkeypatch):
     """The floods take their turn from the first state on, in small bites."""
     for name, value in (("_PATIENCE", 1), ("_TURN", 5), ("_FLOOD_TURN", 50)):
-        monkeypatch.setattr(ara, name, value)
+        monkeypatch.setattr(run, name, value)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -105,7 +105,7 @@ def test_a_corner_too_tight_to_turn_is_found_out_from_its_smaller_side(
 
 def test_the_floods_cost_no_expansions_once_they_know(impatient, monkeypatch):
     quick = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER)
-    monkeypatch.setattr(ara, "_PATIENCE", 10**9)
+    monkeypatch.setattr(run, "_PATIENCE", 10**9)
     slow = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER)
     assert slow.status is quick.status is PlanStatus.NO_PATH
     assert quick.expansions < slow.expansions / 2

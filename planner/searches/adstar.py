@@ -13,10 +13,11 @@ from dataclasses import replace
 
 from planner.options import PlannerOptions
 from planner.searches import search
-from planner.searches.ara import Run, quick_plan
+from planner.searches.ara import quick_plan
 from planner.searches.kept import KeptTree
 from planner.searches.quick import NO_WAY
 from planner.searches.request import Request, Result, first_nodes, found, no_first_step, no_way
+from planner.searches.run import Run
 from planner.searches.search import NO_COST
 
 _NAME = "adstar"

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.estimates.exits import exit_bound
+from planner.estimates.rounded import NOT_ROUNDED, Rounded, rounded_bound
 from planner.jit import allocating, lean
 from planner.lattice.space import Space
 
@@ -28,6 +29,7 @@ class Heuristic(NamedTuple):
     detour_um: NDArray[np.int32]
     rim: NDArray[np.int64]
     radius_cells: int
+    rounded: Rounded = NOT_ROUNDED
 
 
 @lean
@@ -55,7 +57,8 @@ def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
         body,
         row,
     )
-    return max(path + heuristic.potential_um[row], exact, least)
+    near = rounded_bound(heuristic.rounded, col - reach, up - reach, row)
+    return max(path + heuristic.potential_um[row], exact, least, near)
 
 
 @allocating

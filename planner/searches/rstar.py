@@ -26,11 +26,12 @@ from planner.estimates.spread import cell_shut
 from planner.lattice.layout import final_cost_um
 from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
-from planner.searches.ara import Run, quick_plan
+from planner.searches.ara import quick_plan
 from planner.searches.coarse import least_straight
 from planner.searches.local import Found, Target, search_to, target_around
 from planner.searches.quick import NO_WAY, QuickPath
 from planner.searches.request import Request, Result, first_nodes, no_first_step, no_way
+from planner.searches.run import Run
 from planner.searches.task import forward_task, least_toward_goal
 from planner.searches.toward import body_cells_of
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from planner.checks.collision import clearance_at
 from planner.estimates.exits import exit_bound
+from planner.estimates.rounded import rounded_bound
 from planner.jit import allocating, lean
 from planner.lattice.rise import step_climbs
 from planner.lattice.slots import BITS, LOW, Slots, next_block, slot_of, take_slot
@@ -290,6 +291,8 @@ def _expand_node(
     across, up = across - space.origin_col, up - space.origin_row
     reach = len(endgame_um) // 2
     uneven = len(space.node_um) > 0
+    rounded = heuristic.rounded
+    is_rounded = len(rounded.cost_um) > 0
     improved, limit_um = False, _limit_um(scalars)
     for k in range(steps.shape[1]):
         if steps[row, k, COST_UM] == 0:
@@ -333,6 +336,10 @@ def _expand_node(
         )
         if cost + value >= limit_um:
             continue
+        if is_rounded:
+            value = max(value, rounded_bound(rounded, across + d_col, up + d_row, to_row))
+            if cost + value >= limit_um:
+                continue
         x, y = (across + 0.5 * d_col) * cell_m, (up + 0.5 * d_row) * cell_m
         x, y = ox + cos * x - sin * y, oy + sin * x + cos * y
         clear_m = clearance_at(clearance_m, size_m, x, y)
