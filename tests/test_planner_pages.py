@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.lattice.pages import zeros
+from planner.lattice.pages import in_tiles, tiled, zeros
 
 
 @pytest.mark.parametrize("count", [0, 5, 1 << 22])
@@ -30,3 +30,12 @@ def test_a_number_here_and_there_takes_up_a_page_each():
 
 def resident_bytes():
     return int(Path("/proc/self/statm").read_text().split()[1]) * mmap.PAGESIZE
+
+
+def test_every_cell_has_a_place_of_its_own_and_neighbours_share_tiles():
+    cols, rows = 21, 10
+    places = {in_tiles(c, r, cols) for c in range(cols) for r in range(rows)}
+    assert len(places) == cols * rows
+    assert max(places) < tiled(cols, rows)
+    tiles = {in_tiles(c, r, cols) // 64 for c in range(8, 16) for r in range(8)}
+    assert len(tiles) == 1

@@ -24,11 +24,13 @@ from planner.estimates.endgame import backward_steps, longest_move
 from planner.estimates.guide import Potential, grid_length
 from planner.jit import allocating, lean
 from planner.lattice.layout import IntArray, StepTable
+from planner.lattice.pages import in_tiles, tiled, zeros
 
 SECTORS = 16
 _RADIUS_CELLS = 14
 _RING_CELLS = 2.3  # a path does not pass over so many
 _FAR_UM = 1 << 40
+_NO_DETOUR_UM = (1 << 30) + 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,18 +165,24 @@ def _leave(
         turn_um[row] = min(cost_um[size // 2, size // 2, row] + low, _FAR_UM)
 
 
-@allocating
+def no_detours(cols: int, rows: int) -> NDArray[np.int32]:
+    """Room (n, SECTORS), in tiles, for the second part of the bound + 1 of a lattice's cells."""
+    return zeros(tiled(cols, rows) * SECTORS, np.int32).reshape(-1, SECTORS)
+
+
+@lean
 def measure_detours(
-    detour_um: NDArray[np.int32],
-    cell: int,
+    best_um: NDArray[np.int32],
+    col: int,
+    row: int,
     cols: int,
     path_um: NDArray[np.int32],
     frontier_um: int,
     rim: IntArray,
 ) -> None:
-    """Notes the second part of the bound + 1 of a body's cell for all sectors."""
-    best = np.full(detour_um.shape[1], 1 << 30, np.int64)
-    row, col = cell // cols, cell % cols
+    """Notes the second part of the bound + 1 of the body at col, row for all sectors (SECTORS,)."""
+    for sector in range(len(best_um)):
+        best_um[sector] = _NO_DETOUR_UM
     rows = len(path_um) // cols
     for i in range(len(rim)):
         c, r = col + rim[i, 0], row + rim[i, 1]
@@ -184,9 +192,7 @@ def measure_detours(
         if path < 0:
             continue
         path = min(path - 1, frontier_um) if path > 0 else frontier_um
-        best[rim[i, 2]] = min(best[rim[i, 2]], path + rim[i, 3])
-    for sector in range(len(best)):
-        detour_um[cell, sector] = best[sector] + 1
+        best_um[rim[i, 2]] = min(best_um[rim[i, 2]], path + rim[i, 3] + 1)
 
 
 @lean
@@ -202,15 +208,19 @@ def exit_bound(
 ) -> int:
     """The bound of a state, given the body's cell; 0 where the goal is within the circle.
 
-    circle: its radius in cells, the lattice's number of columns, and the goal's col and row.
+    detour_um: see `no_detours`. circle: its radius in cells, the lattice's number of columns, and
+    the goal's col and row.
     """
     radius, cols, goal_col, goal_row = circle
+    up = body // cols
+    across = body - up * cols
     # A cell is farther than R along the grid whenever it is along an axis.
-    if max(abs(body % cols - goal_col), abs(body // cols - goal_row)) <= radius:
+    if max(abs(across - goal_col), abs(up - goal_row)) <= radius:
         return 0
-    if detour_um[body, 0] == 0:
-        measure_detours(detour_um, body, cols, path_um, frontier_um, rim)
+    place = in_tiles(across, up, cols)
+    if detour_um[place, 0] == 0:
+        measure_detours(detour_um[place], across, up, cols, path_um, frontier_um, rim)
     least = _FAR_UM
     for sector in range(SECTORS):
-        least = min(least, turn_um[row, sector] + detour_um[body, sector])
+        least = min(least, turn_um[row, sector] + detour_um[place, sector])
     return least - 1

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-_SMALL_BYTES = 1 << 20
+from planner.jit import lean
+
+_SMALL_BYTES = 1 << 21
 
 
 def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
@@ -23,3 +25,17 @@ def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
     memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     memory.madvise(mmap.MADV_NOHUGEPAGE)
     return np.frombuffer(memory, dtype)
+
+
+def tiled(cols: int, rows: int) -> int:
+    """How many places `in_tiles` has for so many columns and rows."""
+    return (cols // 8 + 1) * (rows // 8 + 1) * 64
+
+
+@lean
+def in_tiles(col: int, row: int, cols: int) -> int:
+    """Place of a cell where those of 8 x 8 cells follow one another, then those of the next.
+
+    A search comes to cells that lie together. Row by row each row of them takes pages of its own.
+    """
+    return (row >> 3) * (cols // 8 + 1) + (col >> 3) << 6 | (row & 7) << 3 | col & 7

@@ -16,7 +16,7 @@ from planner.lattice.space import Space
 class Heuristic(NamedTuple):
     """Arrays of a heuristic, made for one lattice and one end.
 
-    detour_um (cells, SECTORS): filled in as the search goes on.
+    detour_um: see `no_detours`; filled in as the search goes on.
     """
 
     cost_um: NDArray[np.int32]

@@ -17,12 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.estimates.body_path import MARGIN_MOVES, Strip, path_toward, raise_by_arrival
-from planner.estimates.exits import SECTORS
+from planner.estimates.exits import no_detours
 from planner.lattice.layout import final_cost_um
-from planner.lattice.pages import zeros
 from planner.lattice.space import Int64s
 from planner.options import PlannerOptions
 from planner.searches import search
+from planner.searches.coarse import least_straight
 from planner.searches.heuristic import Heuristic
 from planner.searches.places import EVERY_STATE, places_of
 from planner.searches.reading import trace
@@ -73,13 +73,16 @@ def quick_path(
     roomy = replace(guide, reach_m=max(space.body[1], guide.reach_m))
     wide = path_toward(space, roomy, cells)
     is_wide = wide.reaches_any(cells)
-    # Beside a wide path this one says only what any plan costs at least: that takes no margin.
-    path = path_toward(space, guide, cells, margin_moves=0 if is_wide else MARGIN_MOVES)
-    if not path.reaches_any(cells):
-        return NO_WAY
-    rows = nodes % (2 * space.headings)
-    bounds_um = costs_um + path.least_um(bodies) + guide.potential_um.reshape(-1)[rows]
-    quick = replace(NO_WAY, least_um=int(bounds_um.min()))
+    values_um = costs_um + guide.potential_um.reshape(-1)[nodes % (2 * space.headings)]
+    least_um = least_straight(request, nodes, costs_um)
+    # Where the wide path is as short as the straight way there is nothing more to know.
+    if not is_wide or least_um < (values_um + wide.least_um(bodies)).min():
+        # Beside a wide path this one says only what any plan costs at least: that takes no margin.
+        path = path_toward(space, guide, cells, margin_moves=0 if is_wide else MARGIN_MOVES)
+        if not path.reaches_any(cells):
+            return NO_WAY
+        least_um = int((values_um + path.least_um(bodies)).min())
+    quick = replace(NO_WAY, least_um=least_um)
     if is_wide:
         quick = _along(request, wide, nodes, costs_um, options, _TRIES[:2], quick)
         if len(quick.nodes):
@@ -133,7 +136,7 @@ def _task_in(request: Request, path: Strip, nodes: Int64s, costs_um: Int64s) -> 
             toward.tables.endgame.cost_um,
             toward.tables.endgame.cap_um,
             toward.tables.facing.depart_um,
-            zeros(request.space.cols * request.space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
+            no_detours(request.space.cols, request.space.rows),
             exits.ring,
             exits.radius_cells,
         ),

@@ -302,6 +302,9 @@ def _expand_node(
         block: int = np.int64(of_block[to >> BITS])  # type: ignore[assignment]
         if block == 0:
             block = next_block(of_block, used, to)
+            # To read a fresh page first and write to it later takes twice the time to get it.
+            cost_um[block << BITS] = before[block << BITS] = 0
+            node_state[block << BITS] = rounds[block << BITS] = 0
         at = block << BITS | to & LOW
         old = np.int64(cost_um[at])
         if old != 0 and cost >= old:

@@ -10,11 +10,10 @@ import numpy as np
 
 from planner.checks.collision import Terrain
 from planner.estimates.body_path import BodyPath, search_body_path
-from planner.estimates.exits import SECTORS
+from planner.estimates.exits import no_detours
 from planner.estimates.guide import Potential
 from planner.estimates.tables import Tables
 from planner.lattice.change import change_between, over
-from planner.lattice.pages import zeros
 from planner.lattice.region import POINT, Region, ends_in
 from planner.lattice.space import Int64s, Space
 from planner.model import StepModel
@@ -61,7 +60,7 @@ class Toward:
             self.tables.endgame.cost_um,
             self.tables.endgame.cap_um,
             exits.turn_um,
-            zeros(space.cols * space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
+            no_detours(space.cols, space.rows),
             exits.rim,
             exits.radius_cells,
         )

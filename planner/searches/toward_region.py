@@ -7,10 +7,9 @@ import math
 import numpy as np
 
 from planner.estimates.body_path import spread_from
-from planner.estimates.exits import SECTORS
+from planner.estimates.exits import no_detours
 from planner.estimates.tables import Tables
 from planner.lattice.layout import final_cost_um
-from planner.lattice.pages import zeros
 from planner.lattice.region import Region
 from planner.lattice.space import Int64s, Space
 from planner.model import StepModel
@@ -53,7 +52,7 @@ def heuristic_toward_region(
         np.maximum(endgame.cost_um - np.int32(slack_um), 0),
         max(endgame.cap_um - slack_um, 0),
         base_um + exits.turn_um,
-        zeros(space.cols * space.rows * SECTORS, np.int32).reshape(-1, SECTORS),
+        no_detours(space.cols, space.rows),
         exits.rim,
         # No end may lie within the circle wherever its bound is used.
         exits.radius_cells + math.ceil(region.reach_m / model.cell_m) + 2,
