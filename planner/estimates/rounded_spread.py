@@ -16,11 +16,11 @@ from planner.estimates.spread import NOWHERE_UM
 from planner.jit import lean
 from planner.lattice.layout import final_cost_um
 from planner.lattice.pages import zeros
-from planner.lattice.space import BLOCKED, FREE, UNKNOWN, Int64s, Space, to_grid
+from planner.lattice.space import BLOCKED, FREE, UNKNOWN, Int32s, Int64s, Space, to_grid
 from planner.model import StepModel
 
 MOST_STATES = 1 << 28  # of a grid
-_TURN = 1 << 14  # states between two looks at whether to go on
+_TURN = 1 << 12  # states between two looks at whether to go on
 _USED, _SPARE, _WAITING, _BUCKET = range(4)
 
 
@@ -38,8 +38,8 @@ class Work(NamedTuple):
     spacing_m: float
     width_um: int
     head: Int64s
-    node: Int64s
-    after: Int64s
+    node: Int32s
+    after: Int32s
     scalars: Int64s
     box_state: NDArray[np.uint8]
     before_um: NDArray[np.int32]
@@ -81,8 +81,8 @@ def rounded_costs(
         spacing_m,
         width_um,
         np.full(buckets, -1, np.int64),
-        np.empty(0, np.int64),
-        np.empty(0, np.int64),
+        np.empty(0, np.int32),
+        np.empty(0, np.int32),
         np.array([0, -1, 0, 0]),
         zeros(cols * rows * space.headings, np.uint8),
         _near_points(space, rounded, rows, start_um),
@@ -140,7 +140,7 @@ def _with_room(work: Work, entries: int) -> Work:
     if used + entries <= len(work.node):
         return work
     room = 2 * used + entries
-    node, after = np.empty(room, np.int64), np.empty(room, np.int64)
+    node, after = np.empty(room, np.int32), np.empty(room, np.int32)
     node[:used], after[:used] = work.node[:used], work.after[:used]
     return work._replace(node=node, after=after)
 
@@ -182,7 +182,7 @@ def _spread(space: Space, rounded: Rounded, work: Work, budget: int) -> None:
         if entry < 0:
             scalars[_BUCKET] = bucket + 1
             continue
-        state = work.node[entry]
+        state: int = np.int64(work.node[entry])  # type: ignore[assignment]
         work.head[bucket & len(work.head) - 1] = work.after[entry]
         work.after[entry] = scalars[_SPARE]
         scalars[_SPARE] = entry

@@ -14,7 +14,7 @@ from planner.searches.request import Request, Result, first_nodes, no_first_step
 from planner.searches.run import Run
 from planner.searches.task import backward_task, forward_task, least_toward_goal
 
-_COARSE = 600_000  # expansions on a coarse lattice, whose plan helps the search of the fine one
+_COARSE = 1_000_000  # expansions on a coarse lattice, whose plan helps the search of the fine one
 
 
 def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
