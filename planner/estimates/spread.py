@@ -34,6 +34,24 @@ class Ahead(NamedTuple):
     slack_um: int
 
 
+class Queue(NamedTuple):
+    """A ring of buckets, each a stack, of cells to go on from.
+
+    head (2^k,): first entry of each bucket; cells, costs, after (n,): of the entries the cell, its
+    cost + 1 and the next entry. at: how many bits of a key do not count for its bucket, the bucket
+    that is looked at, the last one that will be, and how many entries are used and how many wait.
+    """
+
+    head: Int64s
+    cells: Int64s
+    costs: Int64s
+    after: Int64s
+    at: Int64s
+
+
+SHIFT, BUCKET, LAST, USED, WAITING = range(5)  # entries of Queue.at
+
+
 class Moves(NamedTuple):
     """Moves around a cell (16, 2), columns and rows, what each costs, and the reach of a body."""
 
@@ -104,25 +122,40 @@ def spread_costs(
     Returns NOWHERE_UM once no cell is left; else what the cost and the way ahead of any cell that
     was not done add up to at least.
     """
-    around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
-    cols = space.cols
-    d_cell = around[:, 1] * cols + around[:, 0]
+    queue = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
+    while not _spread_on(space, cost_um, moves, wanted, beyond_um, mask, ahead, queue):
+        queue = _with_more_room(queue)
+    return NOWHERE_UM if queue.at[WAITING] == 0 else queue.at[BUCKET] << queue.at[SHIFT]
+
+
+@lean
+def _spread_on(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    moves: Moves,
+    wanted: Int64s,
+    beyond_um: int,
+    mask: NDArray[np.uint8],
+    ahead: Ahead,
+    queue: Queue,
+) -> bool:
+    """As `spread_costs` from what is in the queue; whether it came to the end within its room."""
     # In local names: taken from the tuples in the loop they cost more than the loop itself.
+    around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
+    head, cells, costs, after, at = queue.head, queue.cells, queue.costs, queue.after, queue.at
+    cols, ring, shift, bucket = space.cols, len(head) - 1, at[SHIFT], at[BUCKET]
     clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
     plane = space.frame, space.cell_m, space.origin_col, space.origin_row
-    queue, shift, bucket = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
-    head, cells, costs, after, waiting = queue
-    ring, used, last = len(head) - 1, waiting, -1
+    used, waiting, room = at[USED], at[WAITING], len(cells) - len(move_um)
     while waiting > 0:
-        if last < 0:
+        if at[LAST] < 0:
             for i in range(len(wanted)):
                 if cost_um[wanted[i]] > 0:
-                    last = bucket + (beyond_um >> shift)
-        elif bucket > last:
-            return bucket << shift
+                    at[LAST] = bucket + (beyond_um >> shift)
+        elif bucket > at[LAST]:
+            break
         entry = head[bucket & ring]
-        head[bucket & ring] = -1
-        while entry >= 0:
+        while entry >= 0 and used <= room:
             cell, here = cells[entry], costs[entry]
             entry = after[entry]
             waiting -= 1
@@ -130,16 +163,12 @@ def spread_costs(
                 continue  # it came to cost less
             row = cell // cols
             col = cell - row * cols
-            if used + len(move_um) > len(cells):
-                cells = np.concatenate((cells, np.empty_like(cells)))
-                costs = np.concatenate((costs, np.empty_like(costs)))
-                after = np.concatenate((after, np.empty_like(after)))
             for move in range(len(move_um)):
-                near, there = cell + d_cell[move], here + move_um[move]
+                to_col, to_row = col + around[move, 0], row + around[move, 1]
+                near, there = to_row * cols + to_col, here + move_um[move]
                 old = np.int64(cost_um[near])
                 if 0 != old <= there:
                     continue  # as it is if it is shut
-                to_col, to_row = col + around[move, 0], row + around[move, 1]
                 if old == 0:
                     x, y = _on_map(plane, to_col, to_row)
                     shut = len(mask) > 0 and mask[near] == 0
@@ -158,8 +187,26 @@ def spread_costs(
                     after[used], head[slot] = head[slot], used
                 used += 1
                 waiting += 1
+        head[bucket & ring] = entry
+        at[BUCKET], at[USED], at[WAITING] = bucket, used, waiting
+        if entry >= 0:
+            return False
         bucket += 1
-    return NOWHERE_UM
+        at[BUCKET] = bucket
+    return True
+
+
+@allocating
+def _with_more_room(queue: Queue) -> Queue:
+    """The queue with room for twice as many entries."""
+    cells, costs, after = queue.cells, queue.costs, queue.after
+    return Queue(
+        queue.head,
+        np.concatenate((cells, np.empty_like(cells))),
+        np.concatenate((costs, np.empty_like(costs))),
+        np.concatenate((after, np.empty_like(after))),
+        queue.at,
+    )
 
 
 @allocating
@@ -170,11 +217,8 @@ def _queue_seeds(
     seed_um: Int64s,
     moves: Moves,
     ahead: Ahead,
-) -> tuple[tuple[Int64s, Int64s, Int64s, Int64s, int], int, int]:
-    """The queue, how many bits of a key do not count for its bucket, and the first bucket.
-
-    Of the queue the ring of buckets, its entries' cells, costs + 1 and next entries, and how many.
-    """
+) -> Queue:
+    """The queue with the seeds in it."""
     shift = 0
     while 2 << shift <= moves.cost_um.min():
         shift += 1
@@ -190,7 +234,7 @@ def _queue_seeds(
     while ring < span:
         ring *= 2
     head = np.full(ring, -1, np.int64)
-    room = max(1 << 13, len(seeds))
+    room = max(1 << 13, 2 * len(seeds))
     cells, costs, after = (
         np.empty(room, np.int64),
         np.empty(room, np.int64),
@@ -205,7 +249,7 @@ def _queue_seeds(
         cells[used], costs[used] = cell, seed_um[i] + 1
         after[used], head[slot] = head[slot], used
         used += 1
-    return (head, cells, costs, after, used), shift, low >> shift
+    return Queue(head, cells, costs, after, np.array([shift, low >> shift, -1, used, used]))
 
 
 @lean
