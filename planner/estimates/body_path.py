@@ -25,6 +25,7 @@ from planner.estimates.spread import (
 from planner.jit import lean
 from planner.lattice.space import Int64s, Space
 
+_LARGE = 4096
 MARGIN_MOVES = 8  # with these there is room for steps
 
 
@@ -50,6 +51,11 @@ class Strip(NamedTuple):
     settled_um: int
     cols: int
     ahead: Ahead
+
+    @property
+    def is_large(self) -> bool:
+        """Whether paths lead to so many cells that to look through them all takes long."""
+        return int(np.count_nonzero(self.cost_um > 0)) > _LARGE
 
     def reaches_any(self, cells: Int64s) -> bool:
         """Whether a path leads to one of the cells (n,)."""
@@ -77,6 +83,18 @@ def path_toward(
     moves = moves_of(guide)
     settled_um = spread_costs(space, cost_um, *seeds, moves, cells, beyond_um, EVERYWHERE, ahead)
     return Strip(cost_um, settled_um, space.cols, ahead)
+
+
+def leads_to_goal(space: Space, guide: Potential, cells: Int64s) -> bool:
+    """Whether a path leads from one of the cells (n,) to the goal, looked for from the cells.
+
+    Where obstacles enclose them that is known at once, however large the rest of the map is.
+    """
+    goal = np.array([space.origin_row * space.cols + space.origin_col])
+    cost_um, none_um = np.zeros(space.cols * space.rows, np.int32), np.zeros_like(cells)
+    ahead = ahead_of(space, guide, goal)
+    spread_costs(space, cost_um, cells, none_um, moves_of(guide), goal, 0, EVERYWHERE, ahead)
+    return bool(cost_um[goal[0]] > 0)
 
 
 @lean

@@ -16,7 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.estimates.body_path import MARGIN_MOVES, Strip, path_toward, raise_by_arrival
+from planner.estimates.body_path import (
+    MARGIN_MOVES,
+    Strip,
+    leads_to_goal,
+    path_toward,
+    raise_by_arrival,
+)
 from planner.estimates.exits import no_detours
 from planner.lattice.layout import final_cost_um
 from planner.lattice.space import Int64s
@@ -73,6 +79,8 @@ def quick_path(
     roomy = replace(guide, reach_m=max(space.body[1], guide.reach_m))
     wide = path_toward(space, roomy, cells)
     is_wide = wide.reaches_any(cells)
+    if not is_wide and wide.is_large and not leads_to_goal(space, guide, cells):
+        return NO_WAY
     values_um = costs_um + guide.potential_um.reshape(-1)[nodes % (2 * space.headings)]
     least_um = least_straight(request, nodes, costs_um)
     # Where the wide path is as short as the straight way there is nothing more to know.

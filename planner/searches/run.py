@@ -30,7 +30,7 @@ from planner.searches.task import Task
 
 _QUICK = -1  # in place of a node: the plan that was found before the search proper
 # Expansions after which a search for a proof is given a sharper bound, which takes long to make.
-_BLUNT = 1_000_000
+_BLUNT = 2_000_000
 _BUDGET = 4096  # expansions between two looks at the clock
 # A search that has no plan after so many expansions takes turns with the floods from start and
 # goal, which may find that there is none: so many expansions against so many nodes of each flood,
