@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.estimates.guide import Potential
-from planner.jit import allocating
+from planner.jit import lean
 from planner.lattice.layout import IntArray, StepTable, final_cost_um
 from planner.model import StepModel
 
 _RADIUS_CELLS = 100
+_FAR_UM = 1 << 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,13 +41,14 @@ class Endgame:
 
 def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endgame:
     """The table of a step model."""
-    hop = int(max(np.abs(table.d_col).max(), np.abs(table.d_row).max()))
     cap_um = int(guide.rate * _RADIUS_CELLS * model.cell_m * 1e6)
-    reach = _RADIUS_CELLS + 2 * hop
+    # By the inequality (1) of `guide.py` no state whose cost is below the cap has its body farther.
+    body_cells = max(cap_um - int(guide.potential_um.min()), 0) // int(guide.move_um.min())
+    reach = body_cells + int(max(np.abs(guide.body_col).max(), np.abs(guide.body_row).max())) + 1
     size = 2 * reach + 1
     cost_um = np.full((size, size, 2 * model.headings), cap_um, np.int32)
     _fill(cost_um.reshape(-1), size, backward_steps(table), final_cost_um(model), cap_um)
-    body_um = _body_costs(cost_um, guide, reach)
+    body_um = _body_costs(cost_um, guide)
     level_um = cap_um - int(guide.potential_um.max()) - 1
     inside = body_um <= level_um
     # A step moves the body's cell by at most so many cells along either axis.
@@ -54,15 +56,11 @@ def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endga
     square = np.ones((2 * longest + 1, 2 * longest + 1), np.uint8)
     near_outside = cv2.dilate((~inside).astype(np.uint8), square) > 0
     row, col = np.nonzero(inside & near_outside)
-    # Beyond all that the table knows one cell more is enough.
-    known = inside | (cost_um.min(axis=2) < cap_um)
-    far = min(int(abs(np.argwhere(known) - reach).max()) + 1, reach)
-    middle = slice(reach - far, reach + far + 1)
     return Endgame(
-        cost_um=cost_um[middle, middle].copy(),
+        cost_um=cost_um,
         cap_um=cap_um,
         ring=np.column_stack([col - reach, row - reach, body_um[row, col]]).astype(np.int64),
-        inside=inside[middle, middle].copy(),
+        inside=inside,
     )
 
 
@@ -97,7 +95,7 @@ def backward_steps(table: StepTable) -> IntArray:
     return steps
 
 
-def _body_costs(cost_um: NDArray[np.int32], guide: Potential, reach: int) -> IntArray:
+def _body_costs(cost_um: NDArray[np.int32], guide: Potential) -> IntArray:
     """Least cost (size, size) over headings and sides with the body in a cell, less potentials."""
     size = len(cost_um)
     least = np.full((size, size), np.iinfo(np.int32).max, np.int64)
@@ -109,34 +107,24 @@ def _body_costs(cost_um: NDArray[np.int32], guide: Potential, reach: int) -> Int
     return least
 
 
-@allocating
+@lean
 def _fill(
     cost_um: NDArray[np.int32], size: int, steps: IntArray, final_um: int, cap_um: int
 ) -> None:
-    """Dijkstra's search backward from the goal feet, in buckets one least step wide."""
+    """Dijkstra's search backward from the goal feet, in buckets one least step wide.
+
+    No step leads from a bucket into the same, so a look through the table finds all that is in one:
+    a queue would take more memory than the table, and no less time.
+    """
     rows, most, _ = steps.shape
-    width = cap_um
-    for row in range(rows):
-        for k in range(most):
-            if steps[row, k, 3] > 0:
-                width = min(width, steps[row, k, 3])
-    buckets = cap_um // width + 1
-    head = np.full(buckets, -1, np.int32)
-    node_of, after = np.empty(1 << 16, np.int32), np.empty(1 << 16, np.int32)
-    used, spare = 2, -1  # entries that were looked at are used again
+    width = least_step(steps)
     middle = (size // 2 * size + size // 2) * rows
-    for side in range(2):
-        cost_um[middle + side] = final_um
-        node_of[side], after[side] = middle + side, side - 1
-    head[final_um // width] = 1
-    for bucket in range(buckets):
-        entry = head[bucket]
-        while entry >= 0:
-            node = np.int64(node_of[entry])
-            done, entry = entry, after[entry]
-            after[done], spare = spare, done
-            here = cost_um[node]
-            if here // width != bucket:
+    cost_um[middle] = cost_um[middle + 1] = final_um
+    for bucket in range(final_um // width, cap_um // width + 1):
+        low, high = bucket * width, min((bucket + 1) * width, cap_um)
+        for node in range(len(cost_um)):
+            here: int = np.int64(cost_um[node])  # type: ignore[assignment]
+            if here < low or here >= high:
                 continue
             row, cell = node % rows, node // rows
             grid_row, grid_col = cell // size, cell % size
@@ -149,15 +137,17 @@ def _fill(
                 if col_before < 0 or row_before < 0 or col_before >= size or row_before >= size:
                     continue
                 before = (row_before * size + col_before) * rows + steps[row, k, 0]
-                if cost >= cost_um[before]:
-                    continue
-                cost_um[before] = cost
-                if spare >= 0:
-                    slot, spare = spare, after[spare]
-                else:
-                    if used == len(node_of):
-                        node_of = np.concatenate((node_of, np.empty_like(node_of)))
-                        after = np.concatenate((after, np.empty_like(after)))
-                    slot, used = used, used + 1
-                node_of[slot], after[slot] = before, head[cost // width]
-                head[cost // width] = slot
+                if cost < cost_um[before]:
+                    cost_um[before] = cost
+
+
+@lean
+def least_step(steps: IntArray) -> int:
+    """Cost of the cheapest step of `backward_steps`."""
+    rows, most, _ = steps.shape
+    least = _FAR_UM
+    for row in range(rows):
+        for k in range(most):
+            if steps[row, k, 3] > 0:
+                least = min(least, steps[row, k, 3])
+    return least

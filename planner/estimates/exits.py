@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.estimates.endgame import backward_steps, longest_move
+from planner.estimates.endgame import backward_steps, least_step, longest_move
 from planner.estimates.guide import Potential, grid_length
 from planner.jit import allocating, lean
 from planner.lattice.layout import IntArray, StepTable
@@ -103,66 +103,38 @@ def _leave(
     """
     rows, most, _ = steps.shape
     size = len(inside)
-    low, high, width = _FAR_UM, -_FAR_UM, _FAR_UM
+    cost_um = np.full((size, size, rows), _FAR_UM, np.int64)
+    low, high = _FAR_UM, -_FAR_UM
     for r in range(size):
         for c in range(size):
             if rim[r, c]:
-                low = min(low, potential_um.min() - straight_um[r, c])
-                high = max(high, potential_um.max() - straight_um[r, c])
+                cost_um[r, c] = potential_um - straight_um[r, c]
+                low, high = min(low, cost_um[r, c].min()), max(high, cost_um[r, c].max())
+    width = least_step(steps)
+    # All that is in a bucket is found by a look at everything, as in `endgame.py`.
+    while low <= high:
+        for r in range(size):
+            for c in range(size):
+                for row in range(rows):
+                    here = cost_um[r, c, row]
+                    if here < low or here >= low + width:
+                        continue
+                    for k in range(most):
+                        if steps[row, k, 3] == 0:
+                            continue
+                        source = steps[row, k, 0]
+                        # Cells here are the body's; steps are between feet.
+                        to_c = c - steps[row, k, 1] - body[row, 0] + body[source, 0]
+                        to_r = r - steps[row, k, 2] - body[row, 1] + body[source, 1]
+                        if not (0 <= to_c < size and 0 <= to_r < size and inside[to_r, to_c]):
+                            continue
+                        cost = here + steps[row, k, 3]
+                        if cost < cost_um[to_r, to_c, source]:
+                            cost_um[to_r, to_c, source] = cost
+                            high = max(high, cost)
+        low += width
     for row in range(rows):
-        for k in range(most):
-            if steps[row, k, 3] > 0:
-                width = min(width, steps[row, k, 3])
-    # No way inside costs more than a step for each cell crossed and a full turn.
-    buckets = int((high - low) // width) + 8 * size
-    head = np.full(buckets, -1, np.int64)
-    node_of = np.empty(1 << 16, np.int64)
-    after = np.empty(1 << 16, np.int64)
-    cost_um = np.full((size, size, rows), _FAR_UM, np.int64)
-    used = 0
-    for r in range(size):
-        for c in range(size):
-            if not rim[r, c]:
-                continue
-            for row in range(rows):
-                cost = potential_um[row] - straight_um[r, c] - low
-                cost_um[r, c, row] = cost
-                if used == len(node_of):
-                    node_of = np.concatenate((node_of, np.empty_like(node_of)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                node_of[used] = (r * size + c) * rows + row
-                after[used], head[cost // width] = head[cost // width], used
-                used += 1
-    for bucket in range(buckets):
-        entry = head[bucket]
-        while entry >= 0:
-            row, cell = node_of[entry] % rows, node_of[entry] // rows
-            entry = after[entry]
-            r, c = cell // size, cell % size
-            here = cost_um[r, c, row]
-            if here // width != bucket:
-                continue
-            for k in range(most):
-                if steps[row, k, 3] == 0:
-                    continue
-                source = steps[row, k, 0]
-                # Cells here are the body's; steps are between feet.
-                to_c = c - steps[row, k, 1] - body[row, 0] + body[source, 0]
-                to_r = r - steps[row, k, 2] - body[row, 1] + body[source, 1]
-                if not (0 <= to_c < size and 0 <= to_r < size and inside[to_r, to_c]):
-                    continue
-                cost = here + steps[row, k, 3]
-                if cost >= cost_um[to_r, to_c, source] or cost // width >= buckets:
-                    continue
-                cost_um[to_r, to_c, source] = cost
-                if used == len(node_of):
-                    node_of = np.concatenate((node_of, np.empty_like(node_of)))
-                    after = np.concatenate((after, np.empty_like(after)))
-                node_of[used] = (to_r * size + to_c) * rows + source
-                after[used], head[cost // width] = head[cost // width], used
-                used += 1
-    for row in range(rows):
-        turn_um[row] = min(cost_um[size // 2, size // 2, row] + low, _FAR_UM)
+        turn_um[row] = cost_um[size // 2, size // 2, row]
 
 
 def no_detours(cols: int, rows: int) -> NDArray[np.int32]:
