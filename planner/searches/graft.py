@@ -107,7 +107,7 @@ def renew(tree: Tree) -> None:
                 number += 1
     tree.round[: tree.slots.used[0] + 1 << BITS] = 0
     scalars[search.ROUND] = 0
-    scalars[search.USED] = 0
+    scalars[search.USED] = scalars[search.SPARE] = 0
     scalars[search.CURSOR] = BUCKETS
     for i in range(number):
         slot = slot_of(tree.slots, kept[i])

@@ -49,8 +49,8 @@ BUCKETS = 1 << 13
 FROM_START = 0  # marks a root; node 0 lies on the rim, so it never is a predecessor
 
 # Entries of Tree.scalars
-USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, SLACK_UM = range(9)
-SCALARS = 9
+USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, SLACK_UM, SPARE = range(10)
+SCALARS = 10
 
 # What `expand` returns
 EXHAUSTED, FINISHED, IMPROVED, OUT_OF_BUDGET, OUT_OF_ENTRIES = range(5)
@@ -68,6 +68,8 @@ class Tree(NamedTuple):
     round: number of the search that expanded it. entry_node, entry_next: stacks of the buckets;
     head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
     plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
+    scalars[USED]: so many entries were ever in use; scalars[SPARE]: 1 more than the first of those
+    that are used again, 0 for none.
     scalars[SLACK_UM]: states are kept that cost up to so much more than the best plan; 0 for a tree
     that is not used again. places: see `places.py`.
     """
@@ -100,11 +102,16 @@ def _push(tree: Tree, node: int, key_um: int) -> None:
 @lean
 def put(tree: Tree, node: int, bucket: int) -> None:
     """Adds an entry for a node to a bucket; there must be room for it."""
-    entry = tree.scalars[USED]
+    scalars = tree.scalars
+    entry = scalars[SPARE] - 1
+    if entry >= 0:
+        scalars[SPARE] = tree.entry_next[entry] + 1
+    else:
+        entry = scalars[USED]
+        scalars[USED] = entry + 1
     tree.entry_node[entry] = node
     tree.entry_next[entry] = tree.head[bucket]
     tree.head[bucket] = entry
-    tree.scalars[USED] = entry + 1
 
 
 @lean
@@ -170,7 +177,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
             tree.round[slot] = queued
             nodes[number], values_um[number] = node, value
             number += 1
-    scalars[USED] = 0
+    scalars[USED] = scalars[SPARE] = 0
     scalars[CURSOR] = BUCKETS
     least, low, high = _NO_KEY, _NO_KEY, 0
     for i in range(number):
@@ -218,6 +225,8 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
         entry = head[cursor]
         node: int = np.int64(entry_node[entry])  # type: ignore[assignment]
         head[cursor] = entry_next[entry]
+        entry_next[entry] = scalars[SPARE] - 1
+        scalars[SPARE] = entry + 1
         block: int = np.int64(of_block[node >> BITS])  # type: ignore[assignment]
         slot = block << BITS | node & LOW
         if rounds[slot] == scalars[ROUND]:
@@ -250,7 +259,7 @@ def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> No
             ends[k + 1] += 1
             entry = tree.entry_next[entry]
         tree.head[BUCKETS - 1 + k] = -1
-    scalars[USED] = 0
+    scalars[USED] = scalars[SPARE] = 0
     scalars[CURSOR] = BUCKETS
     scalars[SHIFT] += 1
     for i in range(ends[1] - 1, -1, -1):
