@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,6 @@ from planner.lattice.layout import allowed, step_cost_um
 from planner.lattice.rise import first_climbs
 from planner.lattice.space import Space, clearance_cost, node_free, radius_of
 from planner.model import Side, StepModel
-from planner.plan import wrap_angle
 
 FloatArray = NDArray[np.float64]
 Int64s = NDArray[np.int64]
@@ -22,98 +22,95 @@ Int64s = NDArray[np.int64]
 def first_steps(
     space: Space,
     model: StepModel,
-    support_lattice: FloatArray,
-    swing: Side,
+    feet_lattice: FloatArray,
+    swings: Sequence[Side],
     body_margin_m: float,
-    support_um: int = 0,
+    feet_um: Int64s,
 ) -> tuple[Int64s, Int64s]:
-    """Nodes (n,) and costs (n,) in micrometres of all allowed first steps of one foot.
+    """Nodes (n,) and costs (n,) in micrometres of all allowed first steps of one foot or the other.
 
-    support_lattice (3,): x_m, y_m, yaw_rad of the other foot in the lattice frame, at no node in
+    feet_lattice (2, 3): x_m, y_m, yaw_rad of the feet in the lattice frame, at no nodes in
     general. Every node within the step limits counts, not only those near the step set.
     body_margin_m: margin of the body's box at the pair pose of this step.
-    support_um: height of the ground under the other foot in micrometres.
+    feet_um (2,): height of the ground under the feet in micrometres.
     """
     limits = model.limits
-    low, high = (
-        np.array([limits.x_m[end], limits.y_m[end], limits.yaw_rad[end]]) for end in range(2)
-    )
-    far_m = math.hypot(*(max(map(abs, span)) for span in (limits.x_m, limits.y_m)))
-    shift_m = swing.outward * model.stance_width_m / 2
-    nodes, poses = _nodes_around(
-        space, np.array(support_lattice, float), int(swing), shift_m, low, high, far_m
-    )
-    support = np.array([*support_lattice[:2], 0.0, support_lattice[2]])
-    steps = _relative(support, poses, swing)
+    spans = np.array([limits.x_m, limits.y_m, limits.yaw_rad])
+    far_m = math.hypot(*np.abs(spans[:2]).max(axis=1))
+    around = [
+        _nodes_around(
+            *(space.cols, space.rows, space.headings, space.origin_col, space.origin_row),
+            space.cell_m,
+            feet_lattice[swing.other],
+            int(swing),
+            swing.outward * model.stance_width_m / 2,
+            spans,
+            far_m,
+        )
+        for swing in swings
+    ]
+    nodes, poses, steps = (np.concatenate(parts) for parts in zip(*around, strict=True))
     keep = allowed(steps, model)
     nodes, poses, steps = nodes[keep], poses[keep], steps[keep]
     costs_um = step_cost_um(steps, model)
     body = (model.body.length_m / 2 + body_margin_m, model.body.width_m / 2 + body_margin_m)
     free = np.zeros(len(nodes), np.bool_)
-    _check_first(space, nodes, poses, costs_um, np.array(support_lattice), body, free)
+    _check_first(space, nodes, poses, costs_um, feet_lattice, body, free)
     if len(space.node_um):
-        _check_climbs(space, nodes, np.array(support_lattice), support_um, free)
+        _check_climbs(space, nodes, feet_lattice, feet_um, free)
     return nodes[free], costs_um[free]
 
 
 @allocating
 def _nodes_around(
-    space: Space,
+    cols: int,
+    rows: int,
+    headings: int,
+    origin_col: int,
+    origin_row: int,
+    cell_m: float,
     support: FloatArray,
     swing: int,
     shift_m: float,
-    low: FloatArray,
-    high: FloatArray,
+    spans: FloatArray,
     far_m: float,
-) -> tuple[Int64s, FloatArray]:
-    """Nodes (n,) of a side within the limits or a hair beyond, and their poses (n, 3)."""
+) -> tuple[Int64s, FloatArray, FloatArray]:
+    """Nodes (n,) of a side within the limits (3, 2) or a hair beyond, their poses and steps (n, 3).
+
+    Steps are from the support foot (3,), as `plan.relative_step` has them.
+    """
     hair = 1e-6
-    bin_rad = 2 * math.pi / space.headings
+    bin_rad = 2 * math.pi / headings
     out = 1 - 2 * swing
     cos, sin = math.cos(support[2]), math.sin(support[2])
-    first_col = max(math.floor((support[0] - far_m) / space.cell_m), -space.origin_col)
-    last_col = min(
-        math.ceil((support[0] + far_m) / space.cell_m), space.cols - space.origin_col - 1
-    )
-    first_row = max(math.floor((support[1] - shift_m - far_m) / space.cell_m), -space.origin_row)
-    last_row = min(
-        math.ceil((support[1] - shift_m + far_m) / space.cell_m), space.rows - space.origin_row - 1
-    )
-    turns = min(math.ceil(max(abs(low[2]), abs(high[2])) / bin_rad) + 1, (space.headings - 1) // 2)
+    first_col = max(math.floor((support[0] - far_m) / cell_m), -origin_col)
+    last_col = min(math.ceil((support[0] + far_m) / cell_m), cols - origin_col - 1)
+    first_row = max(math.floor((support[1] - shift_m - far_m) / cell_m), -origin_row)
+    last_row = min(math.ceil((support[1] - shift_m + far_m) / cell_m), rows - origin_row - 1)
+    widest_rad = max(abs(spans[2, 0]), abs(spans[2, 1]))
+    turns = min(math.ceil(widest_rad / bin_rad) + 1, (headings - 1) // 2)
     middle = round(support[2] / bin_rad)
     most = max(last_col - first_col + 1, 0) * max(last_row - first_row + 1, 0) * (2 * turns + 1)
-    nodes, poses = np.empty(most, np.int64), np.empty((most, 3))
+    nodes, poses, steps = np.empty(most, np.int64), np.empty((most, 3)), np.empty((most, 3))
     number = 0
     for col in range(first_col, last_col + 1):
         for row in range(first_row, last_row + 1):
-            x, y = col * space.cell_m, row * space.cell_m + shift_m
+            x, y = col * cell_m, row * cell_m + shift_m
             ahead = cos * (x - support[0]) + sin * (y - support[1])
             outward = out * (cos * (y - support[1]) - sin * (x - support[0]))
-            if not (low[0] - hair <= ahead <= high[0] + hair):
+            if not (spans[0, 0] - hair <= ahead <= spans[0, 1] + hair):
                 continue
-            if not (low[1] - hair <= outward <= high[1] + hair):
+            if not (spans[1, 0] - hair <= outward <= spans[1, 1] + hair):
                 continue
-            cell = (row + space.origin_row) * space.cols + col + space.origin_col
+            cell = (row + origin_row) * cols + col + origin_col
             for turn in range(middle - turns, middle + turns + 1):
-                if low[2] - hair <= out * (turn * bin_rad - support[2]) <= high[2] + hair:
-                    nodes[number] = (cell * space.headings + turn % space.headings) * 2 + swing
+                turned = out * (turn * bin_rad - support[2])
+                if spans[2, 0] - hair <= turned <= spans[2, 1] + hair:
+                    nodes[number] = (cell * headings + turn % headings) * 2 + swing
                     poses[number] = x, y, turn * bin_rad
+                    steps[number] = ahead, outward, turned
                     number += 1
-    return nodes[:number], poses[:number]
-
-
-def _relative(support: FloatArray, poses: FloatArray, swing: Side) -> FloatArray:
-    """Steps (n, 3) from one support foot (4,) to poses (n, 3); see `plan.relative_step`."""
-    cos, sin = math.cos(support[3]), math.sin(support[3])
-    away = poses[:, :2] - support[:2]
-    out = swing.outward
-    return np.column_stack(
-        [
-            cos * away[:, 0] + sin * away[:, 1],
-            out * (cos * away[:, 1] - sin * away[:, 0]),
-            out * wrap_angle(poses[:, 2] - support[3]),
-        ]
-    )
+    return nodes[:number], poses[:number], steps[:number]
 
 
 @lean
@@ -122,7 +119,7 @@ def _check_first(
     nodes: Int64s,
     poses: FloatArray,
     costs_um: Int64s,
-    support: FloatArray,
+    feet: FloatArray,
     body: tuple[float, float],
     free: NDArray[np.bool_],
 ) -> None:
@@ -134,6 +131,7 @@ def _check_first(
     for i in range(len(nodes)):
         if not node_free(space, nodes[i]):
             continue
+        support = feet[1 - (nodes[i] & 1)]
         x, y = 0.5 * (poses[i, 0] + support[0]), 0.5 * (poses[i, 1] + support[1])
         turn = (poses[i, 2] - support[2] + math.pi) % (2 * math.pi) - math.pi
         yaw = frame_yaw + support[2] + 0.5 * turn
@@ -149,18 +147,16 @@ def _check_first(
 
 @lean
 def _check_climbs(
-    space: Space,
-    nodes: Int64s,
-    support: FloatArray,
-    support_um: int,
-    free: NDArray[np.bool_],
+    space: Space, nodes: Int64s, feet: FloatArray, feet_um: Int64s, free: NDArray[np.bool_]
 ) -> None:
     """Unmarks the nodes (n,) that are too high, too low or behind ground that is too high."""
     ox, oy, frame_cos, frame_sin = space.frame
-    yaw = math.atan2(frame_sin, frame_cos) + support[2]
-    x = ox + frame_cos * support[0] - frame_sin * support[1]
-    y = oy + frame_sin * support[0] + frame_cos * support[1]
-    foot = x, y, math.cos(yaw), math.sin(yaw)
     for i in range(len(nodes)):
         if free[i]:
-            free[i] = first_climbs(space, foot, support_um, nodes[i])
+            side = 1 - (nodes[i] & 1)
+            support = feet[side]
+            yaw = math.atan2(frame_sin, frame_cos) + support[2]
+            x = ox + frame_cos * support[0] - frame_sin * support[1]
+            y = oy + frame_sin * support[0] + frame_cos * support[1]
+            foot = x, y, math.cos(yaw), math.sin(yaw)
+            free[i] = first_climbs(space, foot, feet_um[side], nodes[i])

@@ -116,21 +116,17 @@ def no_way() -> Result:
 
 def first_nodes(request: Request) -> tuple[Int64s, Int64s]:
     """Nodes (n,) and costs (n,) of the first steps with either foot, or with the one asked for."""
-    sides = Side if request.first_side is None else (request.first_side,)
+    sides = tuple(Side) if request.first_side is None else (request.first_side,)
     # A robot that stands too near to an obstacle must be able to leave.
     margin_m = 0.0 if request.stands else request.model.body_margin_m
-    found = [
-        first_steps(
-            request.space,
-            request.model,
-            request.feet_lattice[side.other],
-            side,
-            margin_m,
-            round(float(request.feet_m[side.other]) * MICRO),
-        )
-        for side in sides
-    ]
-    return np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found])
+    return first_steps(
+        request.space,
+        request.model,
+        request.feet_lattice,
+        sides,
+        margin_m,
+        np.rint(request.feet_m * MICRO).astype(np.int64),
+    )
 
 
 def found(
