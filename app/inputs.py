@@ -12,7 +12,7 @@ from controller.follower import as_measured
 from controller.policy import PolicyError
 from maps.grid import OccupancyGrid
 from maps.reader import MapError, load_map
-from planner.options import PLANNERS
+from planner.options import HEURISTICS, PLANNERS
 from sim.robot import Robot
 from sim.robots import get_robot
 
@@ -36,6 +36,7 @@ class MapOptions:
 
 RobotName = Annotated[str, text("NAME")]
 PlannerName = Annotated[str, choice(*PLANNERS)]
+HeuristicName = Annotated[str, choice(*HEURISTICS)]
 
 
 def read_grid(options: MapOptions) -> OccupancyGrid:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.errors import ExitCode, InputError
-from app.inputs import MapOptions, PlannerName, RobotName, find_follower, read_grid
+from app.inputs import HeuristicName, MapOptions, PlannerName, RobotName, find_follower, read_grid
 from app.options import (
     OptionalFile,
     OptionalTime,
@@ -22,7 +22,7 @@ from app.options import (
 )
 from app.output import PICTURE_ENDINGS, require_writable, write_text
 from app.progress import say
-from planner.options import PlannerOptions
+from planner.options import FULL, HEURISTIC_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan
 
 FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
@@ -69,6 +69,9 @@ class PlanOptions(MapOptions):
     planner: PlannerName = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
+    heuristic: HeuristicName = PlannerOptions.heuristic
+    """What the search that proves goes by, such as path; docs/planners.md tells them apart."""
+
     seed: Annotated[int, whole_number(at_least=0)] = PlannerOptions.seed
     """Seed of the planners that draw at random, such as 7."""
 
@@ -91,6 +94,7 @@ class PlanOptions(MapOptions):
 def run(options: PlanOptions) -> int:
     """Carries the command out; returns the exit code."""
     _check_outputs(options)
+    search = _search(options)
     robot = find_follower(options.robot, options.policy)
     grid = read_grid(options)
 
@@ -98,7 +102,7 @@ def run(options: PlanOptions) -> int:
     from planner.api import Planner
     from planner.through import plan_through
 
-    planner = Planner(grid, robot.step_model, _search(options))
+    planner = Planner(grid, robot.step_model, search)
     plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])
     plan = dataclasses.replace(plan, robot=robot.name, map=str(options.map))
     text = plan.to_json() + "\n"
@@ -146,10 +150,16 @@ def _check_outputs(options: PlanOptions) -> None:
 
 def _search(options: PlanOptions) -> PlannerOptions:
     """What the planner is told."""
+    if options.heuristic != FULL and options.planner not in HEURISTIC_PLANNERS:
+        raise InputError(
+            f"--heuristic {options.heuristic} is for --planner {', '.join(HEURISTIC_PLANNERS)}: "
+            f"{options.planner} has its own"
+        )
     # A limit that the person sets takes the place of the planner's own.
     improve = options.time_limit is None and not options.prove
     return PlannerOptions(
         name=options.planner,
+        heuristic=options.heuristic,
         epsilon=options.epsilon,
         improve_expansions=PlannerOptions.improve_expansions if improve else None,
         time_limit_s=options.time_limit,

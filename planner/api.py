@@ -193,7 +193,13 @@ class Planner:
     def _laid_out(self, goal: Pose, model: StepModel) -> Toward:
         tables = tables_of(model)
         space = build_space(self.grid, self._terrain, model, tables.steps, goal)
-        return Toward(space=space, model=model, tables=tables, region=self._region)
+        return Toward(
+            space=space,
+            model=model,
+            tables=tables,
+            region=self._region,
+            heuristic_name=self.options.heuristic,
+        )
 
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
         request = Request(

@@ -9,6 +9,12 @@ from dataclasses import dataclass
 SAMPLING_PLANNERS = ("rrtconnect", "rrtstar", "informed-rrtstar", "bitstar", "prmstar", "fmt")
 PLANNERS = ("ara", "astar", "backward", "adstar", "rstar", *SAMPLING_PLANNERS)
 
+# What the search that proves goes by; FULL is all that is known, the others are in `simpler.py`.
+FULL = "full"
+HEURISTICS = (FULL, "path", "steps", "euclidean")
+# The others look from the goal to the start, or have no heuristic.
+HEURISTIC_PLANNERS = ("ara", "astar", "rstar")
+
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerOptions:
@@ -20,9 +26,9 @@ class PlannerOptions:
     max_expansions: the same for the whole search. Both repeat exactly. time_limit_s: a limit on the
     clock on top of them; results then depend on the machine. stop_at_first: be content with the
     first plan. refine: move the plan's steps off the lattice to lower its cost. unknown_is_free:
-    walk on cells that nobody has seen. seed: of the planners that draw at random.
-    goal_reach_m, goal_reach_rad: how far from the goal, and how far turned, plans may end; those of
-    `SAMPLING_PLANNERS` end at the goal itself.
+    walk on cells that nobody has seen. heuristic: one of `HEURISTICS`. seed: of the planners that
+    draw at random. goal_reach_m, goal_reach_rad: how far from the goal, and how far turned, plans
+    may end; those of `SAMPLING_PLANNERS` end at the goal itself.
     """
 
     name: str = "ara"
@@ -35,6 +41,7 @@ class PlannerOptions:
     refine: bool = False
     unknown_is_free: bool = False
     record: bool = False
+    heuristic: str = FULL
     seed: int = 0
     goal_reach_m: float = 0.0
     goal_reach_rad: float = 0.0
@@ -42,6 +49,13 @@ class PlannerOptions:
     def __post_init__(self) -> None:
         if self.name not in PLANNERS:
             raise ValueError(f"planner {self.name!r} must be one of {', '.join(PLANNERS)}")
+        if self.heuristic not in HEURISTICS:
+            raise ValueError(f"heuristic {self.heuristic!r} must be one of {', '.join(HEURISTICS)}")
+        if self.heuristic != FULL and self.name not in HEURISTIC_PLANNERS:
+            raise ValueError(
+                f"heuristic {self.heuristic!r} is for the planners "
+                f"{', '.join(HEURISTIC_PLANNERS)}; {self.name} has its own"
+            )
         if not (math.isfinite(self.epsilon) and self.epsilon >= self.final_epsilon >= 1.0):
             raise ValueError(
                 f"epsilon {self.epsilon} must be a finite number, at least "

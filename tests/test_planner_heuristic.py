@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.api import Planner, _to_lattice
-from planner.options import PlannerOptions
+from planner.api import Planner, _to_lattice, plan_footsteps
+from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import feet_at
 from planner.searches.heuristic import estimate
 from planner.searches.quick import quick_path
@@ -71,6 +71,68 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
         detours.append(estimate - tables.potential.rate * straight_m)
     # Left of the wall the way around its end costs that much more than straight through it.
     assert max(detours) > 0.6
+
+
+@pytest.mark.parametrize("reach_m", [0.0, 0.15])
+@pytest.mark.parametrize("heuristic", HEURISTICS[1:])
+@pytest.mark.parametrize("name", ["wall", "slanted map"])
+def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuristic, reach_m):
+    grid, start, goal = CASES[name]
+    model = small_model()
+    options = PlannerOptions(heuristic=heuristic, goal_reach_m=reach_m)
+    planner = Planner(grid, model, options)
+    assert planner.plan(start=start, goal=goal).found
+    assert planner._toward is not None
+    toward = planner._toward[1]
+    oracle = Oracle(grid, model, goal)
+    exact = oracle.costs_to_go(start)
+    assert len(exact) > 500
+    ends = {oracle_node(toward.space, int(node)) for node in toward.ends}
+    assert len(ends) == 2 if reach_m == 0 else len(ends) > 2
+    values_m = {node: estimated_m(toward.space, toward.heuristic, node) for node in exact}
+    for node, cost_m in exact.items():
+        # The goal itself is one of the ends.
+        assert values_m[node] <= cost_m + 1e-5
+        for step_m, to in oracle.edges(node):
+            assert values_m[node] <= step_m + estimated_m(toward.space, toward.heuristic, to) + 1e-5
+    for node in ends & exact.keys():
+        assert values_m[node] <= 0.3 + 1e-6
+    assert max(values_m.values()) > 1.0
+
+
+def test_the_more_a_heuristic_knows_the_fewer_states_a_star_expands():
+    grid, start, goal = CASES["wall"]
+    plans = [
+        plan_footsteps(
+            grid,
+            small_model(),
+            start=start,
+            goal=goal,
+            options=PlannerOptions(name="astar", heuristic=name),
+        )
+        for name in HEURISTICS
+    ]
+    expansions = [plan.expansions for plan in plans]
+    assert expansions == sorted(expansions)
+    assert 2 * expansions[0] < expansions[-1]
+    assert {plan.epsilon for plan in plans} == {1.0}
+    assert len({round(plan.cost_m, 9) for plan in plans}) == 1
+
+
+def test_euclidean_heuristics_by_hand():
+    grid, start, goal = CASES["empty"]
+    # At 45 degrees the feet of a step to the side are a cell's diagonal apart, and the body moves
+    # by as much: the least cost of a metre is 1. The longest steps move it by 0.3 and 0.1 m.
+    for name, metre_m in (("euclidean", 1.0), ("steps", 1.0 + 0.1 / math.hypot(0.3, 0.1))):
+        planner = Planner(grid, small_model(step_cost_m=0.1), PlannerOptions(heuristic=name))
+        planner.plan(start=start, goal=goal)
+        assert planner._toward is not None
+        space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
+        # The last step costs the stance width of 0.2 m and 0.1 m as every step does.
+        far_m = estimated_m(space, heuristic, (-6, 0, 0, 0))
+        assert far_m == pytest.approx(0.3 + 0.6 * metre_m, abs=1e-5)
+        diagonal_m = estimated_m(space, heuristic, (3, -4, 0, 1))
+        assert diagonal_m == pytest.approx(0.3 + 0.5 * metre_m, abs=1e-5)
 
 
 def estimated_m(space, heuristic, node):

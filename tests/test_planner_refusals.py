@@ -113,6 +113,8 @@ def test_numbers_that_are_no_pose_are_refused(query, message):
         ({"final_epsilon": 0.5}, "at least 1"),
         ({"max_expansions": 0}, "max_expansions 0"),
         ({"time_limit_s": 0.0}, "time_limit_s 0.0"),
+        ({"heuristic": "guess"}, "heuristic 'guess' must be one of full, path, steps, euclidean"),
+        ({"heuristic": "path", "name": "adstar"}, "for the planners ara, astar, rstar"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(change, message):

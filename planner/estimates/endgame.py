@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.estimates.guide import Potential
 from planner.jit import lean
-from planner.lattice.layout import IntArray, StepTable, final_cost_um
+from planner.lattice.layout import IntArray, StepTable, final_cost_um, moved_cells
 from planner.model import StepModel
 
 _RADIUS_CELLS = 100
@@ -66,14 +66,8 @@ def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endga
 
 def longest_move(table: StepTable, guide: Potential) -> int:
     """By how many cells along an axis a step moves the body's cell at most."""
-    index = np.indices(table.cost_um.shape)
-    heading, side = index[0], index[1]
-    to_heading = (heading + table.d_heading) % len(guide.body_col)
-    longest = 0
-    for move, body in ((table.d_col, guide.body_col), (table.d_row, guide.body_row)):
-        moved = move + body[to_heading, 1 - side] - body[heading, side]
-        longest = max(longest, int(np.abs(moved[table.cost_um > 0]).max()))
-    return longest
+    moved = moved_cells(table, guide.body_col, guide.body_row)
+    return int(np.abs(moved[table.cost_um > 0]).max())
 
 
 def backward_steps(table: StepTable) -> IntArray:

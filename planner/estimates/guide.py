@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.lattice.layout import MICRO, IntArray, StepTable, final_cost_um
+from planner.lattice.layout import MICRO, IntArray, StepTable, final_cost_um, moved_cells
 from planner.model import Side, StepModel
 
 FloatArray = NDArray[np.float64]
@@ -80,8 +80,7 @@ def build_potential(model: StepModel, table: StepTable) -> Potential:
     heading, side = index[0], index[1]
     to_heading = (heading + table.d_heading) % model.headings
     to_side = 1 - side
-    cols = table.d_col + body_col[to_heading, to_side] - body_col[heading, side]
-    rows = table.d_row + body_row[to_heading, to_side] - body_row[heading, side]
+    cols, rows = np.moveaxis(moved_cells(table, body_col, body_row), -1, 0)
     real = table.cost_um > 0
     length_m = (grid_length(cols, rows) * model.cell_m)[real]
     cost_um = table.cost_um[real]

@@ -43,6 +43,22 @@ class StepTable:
     cost_um: IntArray
 
 
+def moved_cells(table: StepTable, body_col: IntArray, body_row: IntArray) -> IntArray:
+    """Columns and rows (H, 2, K, 2) by which steps move the body's cell.
+
+    body_col, body_row (H, 2): that cell from the foot's node.
+    """
+    heading, side, _ = np.indices(table.cost_um.shape)
+    to_heading, to_side = (heading + table.d_heading) % len(body_col), 1 - side
+    return np.stack(
+        [
+            move + body[to_heading, to_side] - body[heading, side]
+            for move, body in ((table.d_col, body_col), (table.d_row, body_row))
+        ],
+        axis=-1,
+    )
+
+
 def foot_position(col: FloatArray, row: FloatArray, side: int, model: StepModel) -> FloatArray:
     """Positions (..., 2) in the lattice frame of feet of one side at (col, row)."""
     shift_m = Side(side).outward * model.stance_width_m / 2

@@ -32,6 +32,29 @@ class Heuristic(NamedTuple):
     rounded: Rounded = NOT_ROUNDED
 
 
+def of_path(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    frontier_um: int,
+    body_cell: NDArray[np.int64],
+    potential_um: NDArray[np.int64],
+) -> Heuristic:
+    """The heuristic of path costs (cells,) and potentials (2 H,) alone."""
+    rows = len(potential_um)
+    return Heuristic(
+        cost_um,
+        frontier_um,
+        body_cell,
+        potential_um,
+        np.zeros((1, 1, rows), np.int32),
+        0,
+        np.zeros((rows, 1), np.int64),
+        np.zeros((1, 1), np.int32),
+        np.zeros((0, 4), np.int64),
+        space.cols + space.rows,  # no bound by a rim: all is within the circle
+    )
+
+
 @lean
 def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     """Cost in micrometres that no way from a node to the end of a plan falls below."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from planner.estimates.spread import EVERYWHERE, NO_CELLS, NOT_DRAWN, moves_of, spread_costs
 from planner.lattice.space import Int64s
 from planner.searches import search
-from planner.searches.heuristic import Heuristic
+from planner.searches.heuristic import Heuristic, of_path
 from planner.searches.reading import costs_of, trace
 from planner.searches.task import Task
 from planner.searches.toward import Toward
@@ -126,17 +126,14 @@ def _heuristic(
         EVERYWHERE if mask is None else mask,
         NOT_DRAWN,
     )
-    knows_end = target.is_goal and toward.region.is_point
-    endgame = tables.endgame
-    return Heuristic(
+    heuristic = of_path(
+        space,
         cost_um,
         reached_um,
         toward.body_cell,
         potential_um if target.is_goal else potential_um - potential_um.min(),
-        endgame.cost_um if knows_end else np.zeros((1, 1, rows), np.int32),
-        endgame.cap_um if knows_end else 0,
-        tables.exits.turn_um,
-        np.zeros((1, 1), np.int32),
-        np.zeros((0, 4), np.int64),
-        space.cols + space.rows,  # no exit bound: all is within the circle
     )
+    if target.is_goal and toward.region.is_point:
+        endgame = tables.endgame
+        return heuristic._replace(endgame_um=endgame.cost_um, cap_um=endgame.cap_um)
+    return heuristic

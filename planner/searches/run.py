@@ -11,7 +11,7 @@ import numpy as np
 from planner.lattice.flood import Flood, Verdict, new_flood, spread
 from planner.lattice.layout import MICRO
 from planner.lattice.space import Int64s
-from planner.options import PlannerOptions
+from planner.options import FULL, PlannerOptions
 from planner.plan import PlanStatus
 from planner.searches import search
 from planner.searches.quick import QuickPath
@@ -220,6 +220,7 @@ class Run:
         blunt = 0 if self.request.toward.coarse is not None else _BLUNT
         return (
             epsilon == 1.0
+            and self.options.heuristic == FULL
             and not (self._is_sharp or self.task.is_backward)
             and self._best_um < search.NO_COST
             and self._expansions >= blunt

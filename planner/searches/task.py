@@ -12,7 +12,7 @@ from planner.lattice.pages import zeros
 from planner.lattice.space import Int64s, Space, turned_round
 from planner.searches import search
 from planner.searches.drawn import draw_path
-from planner.searches.heuristic import Heuristic, estimates
+from planner.searches.heuristic import Heuristic, estimates, of_path
 from planner.searches.places import EVERY_STATE
 from planner.searches.request import Request
 from planner.searches.search import Tree
@@ -132,18 +132,8 @@ def heuristic_toward_start(
     else:
         ends = np.unique(body_cells_of(toward, toward.ends))
         path = draw_path(request.space, toward.tables.potential, *seeds, ends, further_um)
-    rows = len(potential_um)
-    return Heuristic(
-        path.cost_um,
-        path.frontier_um,
-        toward.body_cell,
-        base_um - potential_um,
-        np.zeros((1, 1, rows), np.int32),  # there are no tables of the way from a start
-        0,
-        np.zeros((rows, 1), np.int64),
-        np.zeros((1, 1), np.int32),
-        np.zeros((0, 4), np.int64),
-        request.space.cols + request.space.rows,  # no exit bound: all is within the circle
+    return of_path(
+        request.space, path.cost_um, path.frontier_um, toward.body_cell, base_um - potential_um
     )
 
 

@@ -17,7 +17,9 @@ from planner.lattice.change import change_between, over
 from planner.lattice.region import POINT, Region, ends_in
 from planner.lattice.space import Int64s, Space
 from planner.model import StepModel
+from planner.options import FULL
 from planner.searches.heuristic import Heuristic
+from planner.searches.simpler import simpler_heuristic
 from planner.searches.toward_region import heuristic_toward_region
 
 
@@ -28,6 +30,7 @@ class Toward:
     memory: what a search that is asked again and again keeps for itself, by its name; it has a
     method mend(space, change) for changes of the map. region: of the poses that plans may end in.
     coarse: the same on a coarse lattice, where the cells of this one are fine (see `coarse.py`).
+    heuristic_name: one of `HEURISTICS`.
     """
 
     space: Space
@@ -36,11 +39,16 @@ class Toward:
     memory: dict[str, Any] = field(default_factory=dict)
     region: Region = POINT
     coarse: Toward | None = None
+    heuristic_name: str = FULL
 
     @cached_property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal, good for any start."""
         space = self.space
+        if self.heuristic_name != FULL and len(self.ends):
+            return simpler_heuristic(
+                self.heuristic_name, space, self.model, self.tables, self.body_cell, self.ends
+            )
         if not self.region.is_point and len(self.ends):
             return heuristic_toward_region(
                 space, self.model, self.tables, self.body_cell, self.ends, self.region

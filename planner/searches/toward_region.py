@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from planner.estimates.body_path import spread_from
+from planner.estimates.body_path import BodyPath, spread_from
 from planner.estimates.exits import no_detours
 from planner.estimates.tables import Tables
 from planner.lattice.layout import final_cost_um
@@ -34,14 +34,9 @@ def heuristic_toward_region(
     to an end it falls by no more than the way costs, and what is left of it at e is too much by at
     most its largest value at any e.
     """
-    rows, final_um = 2 * space.headings, final_cost_um(model)
+    final_um = final_cost_um(model)
+    base_um, path = path_to_ends(space, tables, body_cell, ends, final_um)
     potential_um = tables.potential.potential_um.reshape(-1)
-    value_um = final_um - potential_um[ends % rows]
-    cells, index = np.unique(ends // rows + body_cell[ends % rows], return_inverse=True)
-    least_um = np.full(len(cells), np.iinfo(np.int64).max)
-    np.minimum.at(least_um, index, value_um)
-    base_um = int(least_um.min())
-    path = spread_from(space, tables.potential, cells, least_um - base_um)
     slack_um = _most_exact(space, tables, ends) - final_um
     endgame, exits = tables.endgame, tables.exits
     return Heuristic(
@@ -57,6 +52,19 @@ def heuristic_toward_region(
         # No end may lie within the circle wherever its bound is used.
         exits.radius_cells + math.ceil(region.reach_m / model.cell_m) + 2,
     )
+
+
+def path_to_ends(
+    space: Space, tables: Tables, body_cell: Int64s, ends: Int64s, final_um: int
+) -> tuple[int, BodyPath]:
+    """What every end of a plan (n,) adds at least, and the path costs to the nearest end."""
+    potential_um, rows = tables.potential.potential_um.reshape(-1), 2 * space.headings
+    value_um = final_um - potential_um[ends % rows]
+    cells, index = np.unique(ends // rows + body_cell[ends % rows], return_inverse=True)
+    least_um = np.full(len(cells), np.iinfo(np.int64).max)
+    np.minimum.at(least_um, index, value_um)
+    base_um = int(least_um.min())
+    return base_um, spread_from(space, tables.potential, cells, least_um - base_um)
 
 
 def _most_exact(space: Space, tables: Tables, ends: Int64s) -> int:
