@@ -112,7 +112,7 @@ def _along(
     """A plan along a strip, with the expansions so far; without nodes if none is found."""
     task, expansions = _task_in(request, strip, nodes, costs_um), so_far.expansions
     for epsilon, budget, by_places in tries:
-        places = places_of(task.space) if by_places else EVERY_STATE
+        places = places_of(task.space, budget) if by_places else EVERY_STATE
         tree = task.tree()._replace(places=places)
         weight = max(options.epsilon, epsilon)
         search.begin_round(task.space, task.heuristic, tree, weight)
