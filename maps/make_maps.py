@@ -137,6 +137,28 @@ STAIRS = FloorPlan(
     ),
 )
 
+_SILLS_BOUNDS = (-2.0, -2.0, 7.0, 3.0)
+SILLS = FloorPlan(
+    name="sills",
+    bounds=_SILLS_BOUNDS,
+    resolution_m=0.025,
+    walls=(
+        *_outline(_SILLS_BOUNDS, 0.1),
+        # Three rooms, with doors of 1.3 m at y -0.5 and 1.0.
+        (1.5, -2.0, 1.6, -0.5),
+        (1.5, 0.8, 1.6, 3.0),
+        (4.5, -2.0, 4.6, 1.0),
+        (4.5, 2.3, 4.6, 3.0),
+    ),
+    furniture=((-1.9, 1.9, -0.6, 2.9), (2.6, -1.9, 3.6, -1.2), (6.2, -1.9, 6.9, -0.8)),
+    # A sill in either door and a cable duct between them, all 5 cm wide and 5 cm high.
+    treads=(
+        ((1.525, -0.5, 1.575, 0.8), 0.05),
+        ((4.525, 1.0, 4.575, 2.3), 0.05),
+        ((3.0, -2.0, 3.05, 3.0), 0.05),
+    ),
+)
+
 
 def draw(plan: FloorPlan) -> NDArray[np.uint8]:
     """Picture of a floor plan: white floor, black obstacles, grey 205 unknown; row 0 is the top."""
@@ -187,5 +209,5 @@ def write(plan: FloorPlan, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    for floor_plan in (ROOM, OFFICE, STAIRS):
+    for floor_plan in (ROOM, OFFICE, STAIRS, SILLS):
         write(floor_plan, Path(__file__).parent)

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from maps.grid import Cell, OccupancyGrid
-from maps.make_maps import STAIRS, draw, draw_heights, write
+from maps.make_maps import SILLS, STAIRS, draw, draw_heights, write
 from maps.reader import MapError, MapWarning, load_map
 
 
@@ -125,14 +125,31 @@ def test_the_heights_of_a_grid_are_its_own_and_follow_new_cells():
         heights_of(grid)[0, 0] = 1.0
 
 
-def test_the_stairs_map_is_as_drawn(tmp_path):
-    write(STAIRS, tmp_path)
+@pytest.mark.parametrize("plan", [STAIRS, SILLS], ids=lambda plan: plan.name)
+def test_maps_with_heights_are_as_drawn(plan, tmp_path):
+    write(plan, tmp_path)
+    here, name = Path("maps"), plan.name
+    for file, picture in ((name, draw(plan)), (f"{name}_height", draw_heights(plan))):
+        np.testing.assert_array_equal(cv2.imread(str(here / f"{file}.png"), -1), picture)
+    assert (here / f"{name}.yaml").read_text() == (tmp_path / f"{name}.yaml").read_text()
+
+
+def test_the_sills_are_the_only_way_from_room_to_room():
+    grid = load_map("maps/sills.yaml")
+    x_m = [1.51, 1.53, 1.57, 1.59, 2.99, 3.01, 3.04, 3.06]
+    heights = grid.height_m([(x, 0.0) for x in x_m])
+    assert heights.tolist() == [0.0, 0.05, 0.05, 0.0, 0.0, 0.05, 0.05, 0.0]
+    # In the doors, 1.3 m wide, and all across the middle room but for the cupboard.
+    is_high = heights_of(grid) > 0
+    is_sill = is_high & ~grid.blocked()
+    for x, width_m in ((1.55, 1.3), (4.55, 1.3), (3.01, 4.1)):
+        col = round((x + 2.0) / 0.025)
+        assert is_sill[:, col].sum() * 0.025 == pytest.approx(width_m)
+        assert (grid.blocked()[:, col] | is_sill[:, col]).all()
+
+
+def test_the_stairs_map():
     here = Path("maps")
-    for name in ("stairs.png", "stairs_height.png", "stairs.yaml"):
-        assert (here / name).exists()
-    for name, picture in (("stairs", draw(STAIRS)), ("stairs_height", draw_heights(STAIRS))):
-        np.testing.assert_array_equal(cv2.imread(str(here / f"{name}.png"), -1), picture)
-    assert (here / "stairs.yaml").read_text() == (tmp_path / "stairs.yaml").read_text()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         grid = load_map(here / "stairs.yaml")
