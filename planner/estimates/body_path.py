@@ -25,7 +25,7 @@ from planner.estimates.spread import (
 from planner.jit import lean
 from planner.lattice.space import Int64s, Space
 
-_LARGE = 4096
+_LARGE = 1 / 8
 MARGIN_MOVES = 8  # with these there is room for steps
 
 
@@ -54,8 +54,8 @@ class Strip(NamedTuple):
 
     @property
     def is_large(self) -> bool:
-        """Whether paths lead to so many cells that to look through them all takes long."""
-        return int(np.count_nonzero(self.cost_um > 0)) > _LARGE
+        """Whether paths lead over so much of the map that to look through it all takes long."""
+        return int(np.count_nonzero(self.cost_um > 0)) > _LARGE * len(self.cost_um)
 
     def reaches_any(self, cells: Int64s) -> bool:
         """Whether a path leads to one of the cells (n,)."""
