@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from planner.searches.coarse import least_straight, on_coarse, on_fine
 from planner.searches.quick import NO_WAY, QuickPath, is_cut_off, quick_path
 from planner.searches.request import Request, Result, first_nodes, no_first_step, no_way
 from planner.searches.run import Run
-from planner.searches.task import backward_task, forward_task, least_toward_goal
+from planner.searches.task import Task, backward_task, forward_task, least_toward_goal
 
 _COARSE = 1_000_000  # expansions on a coarse lattice, whose plan helps the search of the fine one
 
@@ -101,20 +102,25 @@ def quick_plan(
 
 def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
     """One search with the heuristic as it is, until the least cost is proven."""
-    nodes, costs_um = first_nodes(request)
-    if not len(nodes):
-        return no_first_step(request)
-    if is_cut_off(request, nodes):
-        return no_way()
     options = replace(options, epsilon=1.0, final_epsilon=1.0, improve_expansions=None)
-    return Run(request, options, began).result(forward_task(request, nodes, costs_um))
+    return _plan(request, options, began, forward_task)
 
 
 def plan_backward(request: Request, options: PlannerOptions, began: float) -> Result:
     """As `plan_ara`, from the goal feet to the first steps."""
+    return _plan(request, options, began, backward_task)
+
+
+def _plan(
+    request: Request,
+    options: PlannerOptions,
+    began: float,
+    task_of: Callable[[Request, Int64s, Int64s], Task],
+) -> Result:
+    """A search of the lattice alone, unless a look at the body's path says that there is no way."""
     nodes, costs_um = first_nodes(request)
     if not len(nodes):
         return no_first_step(request)
     if is_cut_off(request, nodes):
         return no_way()
-    return Run(request, options, began).result(backward_task(request, nodes, costs_um))
+    return Run(request, options, began).result(task_of(request, nodes, costs_um))
