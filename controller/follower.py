@@ -7,6 +7,7 @@ writes it. Reading it loads neither torch nor MuJoCo.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -61,8 +62,7 @@ def load_measured(robot: Robot, policy_path: Path | None = None) -> Measured | N
         weights = json.loads(about_path.read_text())["sha256"]
         if values.pop("format") != FORMAT:
             raise ValueError(f"its format is not {FORMAT}")
-        limits = {name: tuple(ends) for name, ends in values.pop("limits").items()}
-        measured = Measured(limits=StepLimits(**limits), **values)
+        measured = Measured(limits=limits_from(values.pop("limits")), **values)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise PolicyError(f"{path} cannot be read ({error}): evaluate the policy again") from error
     if measured.robot != robot.name:
@@ -70,16 +70,32 @@ def load_measured(robot: Robot, policy_path: Path | None = None) -> Measured | N
     return measured if measured.policy_sha256 == weights else None
 
 
+def limits_from(document: Mapping[str, Any]) -> StepLimits:
+    """Step limits as JSON holds them.
+
+    Raises:
+        ValueError, TypeError: the document holds no step limits.
+    """
+    values = dict(document)
+    reach_m = tuple((x_m, y_m) for x_m, y_m in values.pop("reach_m", ()))
+    intervals = {name: (low, high) for name, (low, high) in values.items()}
+    return StepLimits(**intervals, reach_m=reach_m)
+
+
 def planning_model(model: StepModel, measured: Measured) -> StepModel:
     """The step model with measured limits and margins; steps outside the limits are dropped.
+
+    The polygon of the step model stays where it has one.
 
     Raises:
         ValueError: no step is left, or the stance lies outside the limits.
     """
-    steps = tuple(step for step in model.steps if measured.limits.contain(step))
+    reach_m = model.limits.reach_m or measured.limits.reach_m
+    limits = replace(measured.limits, reach_m=reach_m)
+    steps = tuple(step for step in model.steps if limits.contain(step))
     return replace(
         model,
-        limits=measured.limits,
+        limits=limits,
         steps=steps,
         foot_margin_m=measured.foot_margin_m,
         body_margin_m=measured.body_margin_m,

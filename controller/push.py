@@ -92,10 +92,11 @@ def _walk_pushed(
 ) -> np.ndarray:
     """Which robots (B,) are upright at the end of the walk."""
     steps = int(WALK_S / robot.gait.step_s) + 2
-    limits, width_m = robot.step_model.limits, robot.step_model.stance_width_m
+    width_m = robot.step_model.stance_width_m
+    ahead_m = robot.step_model.limits.most_x_m(width_m)
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
-        length_m = rng.uniform(0.5, 1.0) * limits.x_m[1]
+        length_m = rng.uniform(0.5, 1.0) * ahead_m
         relative = np.tile((length_m, width_m, 0.0), (steps, 1))
         side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
         return Track.of(feet, side, poses)

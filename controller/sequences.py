@@ -78,6 +78,8 @@ def _arbitrary(rng: np.random.Generator, model: StepModel) -> Draw:
 
     def draw(outer: bool) -> tuple[float, float, float]:
         step = rng.uniform(low, high)
+        while not model.limits.contain(step):
+            step = rng.uniform(low, high)
         if rng.uniform() < 0.5:
             near = rng.normal(model.steps[rng.integers(len(model.steps))], (0.03, 0.02, 0.06))
             step = np.clip(near, low, high)
@@ -161,9 +163,26 @@ def draw_track(
     if steps:
         relative.append((0.0, model.stance_width_m, 0.0))
     drawn = np.array(relative).reshape(-1, 3)
-    low, high = _bounds(model.limits)
-    side, poses = chain_steps(start_feet_world, first, np.clip(drawn, low, high))
+    within = kept_within(drawn, model.limits, model.stance_width_m)
+    side, poses = chain_steps(start_feet_world, first, within)
     return Track.of(start_feet_world, side, poses)
+
+
+def kept_within(steps: np.ndarray, limits: StepLimits, stance_width_m: float) -> np.ndarray:
+    """The steps (N, 3) brought within the limits.
+
+    Each number is clipped to its interval; where a step then lies outside the polygon, it goes
+    straight toward the stance (0, stance_width_m) as far as the polygon's edge.
+    """
+    clipped = np.clip(steps, *_bounds(limits))
+    planes = limits.half_planes
+    if len(planes):
+        stance = np.array([0.0, stance_width_m])
+        away = (clipped[:, :2] - stance) @ planes[:, :2].T
+        room_m = np.maximum(planes[:, 2] - planes[:, :2] @ stance, 0.0)
+        share = np.where(away > room_m, room_m / np.maximum(away, 1e-12), 1.0).min(axis=1)
+        clipped[:, :2] = stance + share[:, None] * (clipped[:, :2] - stance)
+    return np.asarray(clipped)
 
 
 def _bounds(limits: StepLimits) -> tuple[np.ndarray, np.ndarray]:

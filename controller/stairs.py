@@ -109,10 +109,11 @@ def _heights(rng: np.random.Generator, mode: str, places: int, rise_m: float) ->
 def _draw_shape(rng: np.random.Generator, model: StepModel, *, plain: bool, curved: bool) -> _Shape:
     """The shape of a flight; a `plain` one keeps every limit by itself."""
     limits, foot = model.limits, model.foot
+    ahead_m = limits.most_x_m(model.stance_width_m)
     length_m = foot.length_m
     low_m = max(RUN_M[0], length_m + 0.04)
-    high_m = max(low_m, min(RUN_M[1], limits.x_m[1] - 0.01))
-    run_m = min(rng.uniform(low_m, high_m), limits.x_m[1])
+    high_m = max(low_m, min(RUN_M[1], ahead_m - 0.01))
+    run_m = min(rng.uniform(low_m, high_m), ahead_m)
     width_m = rng.uniform(limits.y_m[0] + 0.01, limits.y_m[0] + 0.08)
     approach_m = rng.uniform(0.1, run_m)
     slack_share = rng.uniform() if rng.uniform() < 0.5 else 0.0

@@ -14,7 +14,7 @@ from controller.cursor import STANCE, Track
 from controller.gait import CONTROL_PERIOD_S
 from controller.limit_search import Trial, corners_of
 from controller.policy import Policy
-from controller.sequences import chain_steps
+from controller.sequences import chain_steps, kept_within
 from controller.walks import portions, set_off, walk
 from planner.model import Side, StepLimits
 from sim.robot import Robot
@@ -151,10 +151,11 @@ def walk_within(
     """Walks within limits, and how they went at each corner of these.
 
     They begin with two steps on corners, which are hardest, and which plans touch where they join
-    the robot's stance to their lattice. They go on with steps anywhere within the limits or, half
+    the robot's stance to their lattice; a corner that the polygon cuts off is drawn in to its edge.
+    They go on with steps anywhere within the limits or, half
     of them, of the planner's set.
     """
-    corners = corners_of(limits)
+    corners = kept_within(corners_of(limits), limits, robot.step_model.stance_width_m)
     usable = np.flatnonzero(possible(corners))
     among = np.array([step for step in robot.step_model.steps if limits.contain(step)])
     low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T

@@ -14,6 +14,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.reach import Point, check_polygon, half_planes_of
+
 Interval = tuple[float, float]
 Step = tuple[float, float, float]
 
@@ -67,12 +69,15 @@ class StepLimits:
     """Closed intervals of the swing foot's pose in the support foot's frame (outward positive).
 
     z_m: how far a step may fall and rise on maps with elevation; holds 0.
+    reach_m: vertices x_m, y_m of a convex polygon, counter-clockwise, in which the swing foot must
+        land too; () for the intervals alone.
     """
 
     x_m: Interval
     y_m: Interval
     yaw_rad: Interval
     z_m: Interval = (-0.01, 0.01)
+    reach_m: tuple[Point, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m", "yaw_rad", "z_m"):
@@ -81,14 +86,40 @@ class StepLimits:
                 raise ValueError(f"step limits {name}: ({low}, {high}) must be finite, low <= high")
         if not self.z_m[0] <= 0.0 <= self.z_m[1]:
             raise ValueError(f"step limits z_m: {self.z_m} must hold 0, or no floor can be walked")
+        if len(self.reach_m):
+            check_polygon("step limits reach_m", self.reach_m)
+
+    @property
+    def half_planes(self) -> NDArray[np.float64]:
+        """Half planes (k, 3) of reach_m: unit normals n and c in metres, n . (x, y) <= c inside."""
+        return half_planes_of(self.reach_m)
 
     def contain(self, steps: ArrayLike, tolerance: float = 1e-9) -> NDArray[np.bool_]:
-        """Whether each step of (..., 3) lies within the limits, shape (...)."""
+        """Whether each step of (..., 3) lies within the limits, shape (...).
+
+        tolerance: metres or radians beyond each limit, metres beyond each edge of the polygon.
+        """
         array = np.asarray(steps, dtype=float)
         low = np.array([self.x_m[0], self.y_m[0], self.yaw_rad[0]]) - tolerance
         high = np.array([self.x_m[1], self.y_m[1], self.yaw_rad[1]]) + tolerance
         inside: NDArray[np.bool_] = np.all((array >= low) & (array <= high), axis=-1)
+        if len(self.reach_m):
+            planes = self.half_planes
+            beyond_m = array[..., :2] @ planes[:, :2].T - planes[:, 2]
+            inside = np.asarray(inside & np.all(beyond_m <= tolerance, axis=-1))
         return inside
+
+    def most_x_m(self, y_m: float, *, backward: bool = False) -> float:
+        """Greatest x, or the least if backward, of a step that is this far out and not turned.
+
+        y_m must lie within the limits.
+        """
+        ends = list(self.x_m)
+        for n_x, n_y, c in self.half_planes.tolist():
+            if abs(n_x) > 1e-12:
+                end, at_m = int(n_x > 0), (c - n_y * y_m) / n_x
+                ends[end] = min(ends[1], at_m) if end else max(ends[0], at_m)
+        return ends[0] if backward else ends[1]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -105,6 +105,11 @@ def _step_wrongs(support: FloatArray, pose: FloatArray, swing: Side, model: Step
     ):
         if not low - 1e-6 <= value <= high + 1e-6:
             wrong.append(f"{name} {value:.4f} is outside {low}..{high}")
+    if len(limits.reach_m):
+        beyond_m = shapely.distance(shapely.Polygon(limits.reach_m), shapely.Point(values[:2]))
+        if not beyond_m <= 1e-6:
+            at = f"x {values[0]:.4f}, y {values[1]:.4f}"
+            wrong.append(f"{at} is {beyond_m:.4f} m outside the polygon {limits.reach_m}")
     apart_m = shapely.distance(
         _box(support, model.foot.length_m, model.foot.width_m),
         _box(pose, model.foot.length_m, model.foot.width_m),

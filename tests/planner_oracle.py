@@ -172,6 +172,9 @@ class Oracle:
                         strict=True,
                     )
                 )
+                if inside and limits.reach_m:
+                    polygon = shapely.Polygon(limits.reach_m)
+                    inside = polygon.distance(shapely.Point(ahead, out)) <= 1e-9
                 if inside and self.node_is_free(node) and self.step_is_free(support, there, side):
                     yield self.cost(support, there), node
 

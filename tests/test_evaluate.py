@@ -16,14 +16,14 @@ from app.evaluation import limits as evaluate_limits
 from app.evaluation import modes as evaluate_modes
 from app.evaluation.beside import read_beside
 from app.evaluation.figures import FIGURES, write_figures
-from app.evaluation.limits import limits_from, measured_of, sole_errors_m
+from app.evaluation.limits import measured_of, sole_errors_m
 from app.evaluation.modes import mode_row
 from app.evaluation.parts import Bench, finite
 from app.evaluation.sections import SECTIONS
 from app.evaluation.table import plain_joint, table
 from app.evaluation.text import report
 from controller.assess import ModeResult
-from controller.follower import load_measured, measured_path
+from controller.follower import limits_from, load_measured, measured_path
 from controller.policy import POLICY_FOLDER, load_policy
 from controller.step_region import StepWalks
 from planner.model import FootShape

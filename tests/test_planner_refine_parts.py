@@ -78,7 +78,7 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
         poses = chain + rng.uniform(-0.02, 0.02, chain.shape)
         i = int(rng.integers(1, len(poses) - 3))
         outward = first * (-1) ** i
-        work = new_work(space, len(poses) - 1)
+        work = new_work(space, len(poses) - 1, len(rules.reach))
         note_rules(rules, work, poses, first)
         value, slope, active = work.value[i].copy(), work.slope[i].copy(), work.active[i].copy()
         work.block[:] = 0.0
@@ -150,7 +150,7 @@ def test_the_banded_system_is_solved_as_a_dense_one():
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     assert planner._toward is not None
     rng = np.random.default_rng(1)
-    work = new_work(planner._toward[1].space, len(plan))
+    work = new_work(planner._toward[1].space, len(plan), 0)
     size = len(work.right)
     dense, right = np.eye(size), np.zeros(size)
     work.matrix[:, 0] = 1.0

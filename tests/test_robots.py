@@ -70,7 +70,10 @@ def planned_steps(scene: Scene) -> list[tuple[float, float, float]]:
     """The step set and the corners of the limits."""
     model = scene.robot.step_model
     corners = itertools.product(model.limits.x_m, model.limits.y_m, model.limits.yaw_rad)
-    return [*model.steps, *corners]
+    within = [corner for corner in corners if model.limits.contain(corner)]
+    vertices = ((*at, yaw) for at in model.limits.reach_m for yaw in model.limits.yaw_rad)
+    within += [vertex for vertex in vertices if model.limits.contain(vertex)]
+    return [*model.steps, *within]
 
 
 def posture_over(scene: Scene, feet_world: np.ndarray) -> mujoco.MjData:

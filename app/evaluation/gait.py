@@ -24,6 +24,7 @@ from controller.measure_gait import (
     swing_lags,
 )
 from controller.push import DIRECTIONS, WALK_S, push_recovery
+from controller.sequences import kept_within
 
 RECORDED_S = 10.0
 RECORDED = 16
@@ -35,7 +36,7 @@ PUSH_SPEEDS_M_S = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
 def gait_parts(bench: Bench) -> list[Part]:
     """Loads of the joints, ground forces and contact in a straight walk with the longest step."""
     model, robot = bench.robot.step_model, bench.robot
-    step = (model.limits.x_m[1], model.stance_width_m, 0.0)
+    step = (model.limits.most_x_m(model.stance_width_m), model.stance_width_m, 0.0)
     count = min(RECORDED, 2 * bench.episodes)
 
     def measure(results: Results) -> dict[str, Any]:
@@ -119,9 +120,11 @@ def _walks_to_weigh(bench: Bench) -> list[tuple[str, Step]]:
     """Kinds of walk and their steps, within the limits that the robot's file states."""
     model = bench.robot.step_model
     limits, width_m = model.limits, model.stance_width_m
-    forward = [("forward", (s * limits.x_m[1], width_m, 0.0)) for s in (0.25, 0.5, 0.75, 1.0)]
-    backward = [("backward", (s * limits.x_m[0], width_m, 0.0)) for s in (0.5, 1.0)]
-    return [*forward, *backward, ("sideways", (0.0, limits.y_m[1], 0.0))]
+    ahead_m, back_m = limits.most_x_m(width_m), limits.most_x_m(width_m, backward=True)
+    forward = [("forward", (s * ahead_m, width_m, 0.0)) for s in (0.25, 0.5, 0.75, 1.0)]
+    backward = [("backward", (s * back_m, width_m, 0.0)) for s in (0.5, 1.0)]
+    widest = kept_within(np.array([[0.0, limits.y_m[1], 0.0]]), limits, width_m)[0]
+    return [*forward, *backward, ("sideways", (0.0, float(widest[1]), 0.0))]
 
 
 def push_parts(bench: Bench) -> list[Part]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from app.evaluation.parts import Bench, Part, Results
 from controller.cursor import Track
-from controller.follower import Measured, planning_model
+from controller.follower import Measured, limits_from, planning_model
 from controller.gait import CONTROL_PERIOD_S
 from controller.limit_search import Trial, search_limits
 from controller.step_region import (
@@ -214,11 +214,6 @@ def _climb_m(bench: Bench, results: Results) -> tuple[tuple[float, float], dict[
 
 def _walked(row: dict[str, Any]) -> bool:
     return bool(row["success"] >= STAIRS_SUCCESS)
-
-
-def limits_from(document: dict[str, Any]) -> StepLimits:
-    """Step limits as JSON holds them."""
-    return StepLimits(**{name: (ends[0], ends[1]) for name, ends in document.items()})
 
 
 def _millimetres_up(length_m: float) -> float:

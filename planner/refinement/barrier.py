@@ -23,7 +23,8 @@ from planner.refinement.keep_off import SPARE_M, WAYS, room_off_blocked, room_on
 FloatArray = NDArray[np.float64]
 
 # Rows of a step's rules: low and high of x, y and yaw; the gap between the feet; then the room of
-# the body on both feet, of the foot, of the body on this foot, and of the foot on its tread.
+# the body on both feet, of the foot, of the body on this foot, and of the foot on its tread. The
+# last rows, as many as it has edges, are about the polygon in which a step must lie.
 GAP, PAIR, FOOT, BODY, TREAD = 6, 7, 7 + WAYS, 7 + 2 * WAYS, 7 + 3 * WAYS
 BAND = 6  # a row of the matrix reaches over two poses
 
@@ -58,10 +59,10 @@ class Work(NamedTuple):
 
 
 @allocating
-def new_work(space: Space, steps: int) -> Work:
-    """Empty arrays for so many steps."""
+def new_work(space: Space, steps: int, edges: int) -> Work:
+    """Empty arrays for so many steps, in a polygon of so many edges."""
     free, bound = 3 * (steps - 2), steps - 1
-    rules = TREAD if len(space.node_um) == 0 else TREAD + WAYS
+    rules = edges + (TREAD if len(space.node_um) == 0 else TREAD + WAYS)
     return Work(
         np.zeros((bound, rules)),
         np.zeros((bound, rules, 6)),
@@ -88,12 +89,13 @@ def note_rules(rules: Rules, work: Work, poses: FloatArray, first_outward: float
     terrain, foot, body = rules.space.terrain, rules.space.foot, rules.space.body
     tread, level_um = rules.space.tread, rules.space.climb_um[2]
     half_stance_m, is_flat = rules.space.half_stance_m, len(rules.space.node_um) == 0
-    first_body, sole, limits = rules.first_body, rules.foot, rules.limits
+    first_body, sole, limits, reach = rules.first_body, rules.foot, rules.limits, rules.reach
     value, slope, active, room, step = work.value, work.slope, work.active, work.room, work.step
     outward = first_outward
     for i in range(len(value)):
         _note_step(poses, i, outward, step)
         _note_limits(limits, sole, i, step, value, slope, active)
+        _note_reach(reach, i, step, value, slope, active)
         x, y, yaw = _midway(poses, i)
         half_l, half_w = first_body if i == 0 else body
         near = room_off_blocked(terrain, x, y, yaw, half_l, half_w, _REACH_M, room)
@@ -163,6 +165,25 @@ def _note_limits(
     active[i, GAP] = gap < _REACH_M
     for k in range(6):
         slope[i, GAP, k] = by_x * step[i, 0, k] + by_y * step[i, 1, k] + by_yaw * step[i, 2, k]
+
+
+@lean
+def _note_reach(
+    reach: FloatArray,
+    i: int,
+    step: FloatArray,
+    value: FloatArray,
+    slope: FloatArray,
+    active: NDArray[np.bool_],
+) -> None:
+    """Fills the rules of step i about the half planes (k, 3) in which it must lie."""
+    first = value.shape[1] - len(reach)
+    for edge in range(len(reach)):
+        row, n_x, n_y = first + edge, reach[edge, 0], reach[edge, 1]
+        value[i, row] = reach[edge, 2] - n_x * step[i, 0, 6] - n_y * step[i, 1, 6] - SPARE_M
+        active[i, row] = True
+        for k in range(6):
+            slope[i, row, k] = -n_x * step[i, 0, k] - n_y * step[i, 1, k]
 
 
 @lean

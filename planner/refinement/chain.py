@@ -28,14 +28,17 @@ _TOLERANCE = 1e-9
 class Rules(NamedTuple):
     """What holds for every chain of one plan.
 
-    limits (6,): low and high of a step's x, y and yaw, outward positive. foot: half length and half
-    width of the foot, half of the gap between feet included. first_body: half length and half width
-    of the body at the first pair pose, where the robot may stand nearer than the margin. weights:
-    stance width, and the costs of a step, of turning, of y off the stance width, of going back.
+    limits (6,): low and high of a step's x, y and yaw, outward positive. reach (k, 3): half planes
+    n . (x, y) <= c in which a step's x and y lie, as (n, c), if there are any. foot: half length
+    and half width of the foot, half of the gap between feet included. first_body: half length and
+    half width of the body at the first pair pose, where the robot may stand nearer than the margin.
+    weights: stance width, and the costs of a step, of turning, of y off the stance width, of going
+    back.
     """
 
     space: Space
     limits: FloatArray
+    reach: FloatArray
     foot: tuple[float, float]
     first_body: tuple[float, float]
     weights: tuple[float, float, float, float, float]
@@ -55,6 +58,7 @@ def build_rules(
     return Rules(
         space=space,
         limits=np.array([*limits.x_m, *limits.y_m, *limits.yaw_rad]),
+        reach=np.ascontiguousarray(limits.half_planes),
         foot=(model.foot.length_m / 2 + half_gap_m, model.foot.width_m / 2 + half_gap_m),
         first_body=(
             model.body.length_m / 2 + first_body_margin_m,
@@ -186,7 +190,10 @@ def pair_pose_of(support: FloatArray, swing: FloatArray) -> tuple[float, float, 
 @lean
 def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
     """Whether a step is within the limits and keeps the feet apart."""
-    limits, foot = rules.limits, rules.foot
+    limits, reach, foot = rules.limits, rules.reach, rules.foot
+    for k in range(len(reach)):
+        if reach[k, 0] * x + reach[k, 1] * y > reach[k, 2] + _TOLERANCE:
+            return False
     return (
         limits[0] - _TOLERANCE <= x <= limits[1] + _TOLERANCE
         and limits[2] - _TOLERANCE <= y <= limits[3] + _TOLERANCE

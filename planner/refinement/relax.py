@@ -53,7 +53,7 @@ def relax(
     if len(poses) <= 3:
         best[:] = poses
         return chain_cost_um(rules, poses, first_outward)
-    work = new_work(rules.space, len(poses) - 1)
+    work = new_work(rules.space, len(poses) - 1, len(rules.reach))
     is_flat = len(rules.space.node_um) == 0
     mu, least_m = _FIRST_MU, math.inf
     for iteration in range(iterations):
