@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import shapely
 
+from app.dataset_check import from_document
 from controller.follower import Measured, limits_from, planning_model
 from controller.sequences import MODES, draw_track, kept_within
 from planner.api import plan_footsteps
-from planner.model import StepLimits
+from planner.model import StepLimits, StepModel
 from planner.options import PlannerOptions
 from planner.verify import violations
 from tests.planner_floor import walled
@@ -239,6 +241,12 @@ def test_steps_are_drawn_in_toward_the_stance():
     expected = [[0.18, 0.32, 0.5], [0.2, 0.2, -0.4], [0.3, 0.2, 0.0]]
     np.testing.assert_allclose(kept_within(steps, limits(CUT), 0.2), expected, atol=1e-12)
     assert kept_within(steps, limits(), 0.2)[0].tolist() == [0.3, 0.4, 0.5]
+
+
+def test_a_corpus_says_the_polygon_of_its_robot():
+    model = with_polygon(small_model())
+    document = json.loads(json.dumps(asdict(model)))
+    assert from_document(StepModel, document) == model
 
 
 def test_the_polygon_outlives_measured_limits():

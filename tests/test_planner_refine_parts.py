@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,7 +68,9 @@ def chain_of(planner, plan):
 
 def test_slopes_of_rules_and_costs_are_those_of_differences():
     grid, rng = random_floor(4)
-    model = shy_model(clearance_cost_m=0.0)
+    pentagon = ((-0.2, 0.1), (0.3, 0.1), (0.3, 0.2), (0.1, 0.4), (-0.2, 0.4))
+    limits = replace(small_model().limits, reach_m=pentagon)
+    model = shy_model(clearance_cost_m=0.0, limits=limits)
     planner = Planner(grid, model, LATTICE)
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     assert plan.found
