@@ -13,13 +13,15 @@ import shapely
 from app.dataset_check import from_document
 from controller.follower import Measured, limits_from, planning_model
 from controller.sequences import MODES, draw_track, kept_within
-from planner.api import plan_footsteps
+from planner.api import Planner, plan_footsteps
 from planner.model import StepLimits, StepModel
 from planner.options import PlannerOptions
+from planner.refinement.chain import NOT_ALLOWED, chain_cost_um
 from planner.verify import violations
 from tests.planner_floor import walled
 from tests.planner_oracle import Oracle, small_model
 from tests.planner_refined import random_floor, steps_of
+from tests.test_planner_refine_parts import chain_of
 
 BOX = {"x_m": (-0.2, 0.3), "y_m": (0.1, 0.4), "yaw_rad": (-0.4, 0.8)}
 # The box without its corner of steps that are long and wide, and without that of wide ones back.
@@ -173,6 +175,20 @@ def test_the_independent_check_tells_of_a_step_outside():
     assert len(outside) > 0
     assert [line.split(":")[0] for line in wrong] == [f"step {i}" for i in outside]
     assert all("outside the polygon" in line for line in wrong)
+
+
+def test_a_chain_with_a_step_outside_is_not_allowed():
+    box = small_model(cell_m=0.05, headings=16)
+    grid, start, goal = walled(30, 40), (0.5, 0.5, 0.0), (2.5, 2.0, 0.0)
+    planner = Planner(grid, with_polygon(box), PlannerOptions())
+    plans = planner.plan(start=start, goal=goal), plan_footsteps(grid, box, start=start, goal=goal)
+    costs_um = []
+    for plan in plans:
+        rules, poses, outward = chain_of(planner, plan)
+        costs_um.append(chain_cost_um(rules, poses, outward))
+    assert costs_um[0] == pytest.approx(plans[0].cost_m * 1e6, abs=2)
+    assert beyond_m(steps_of(plans[1])).max() > 1e-3
+    assert costs_um[1] == NOT_ALLOWED
 
 
 def test_the_cheapest_plan_is_that_of_the_oracle():
