@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from app.errors import ExitCode, InputError
+from app.errors import ExitCode, InputError, as_bad_input
 from app.inputs import HeuristicName, MapOptions, PlannerName, RobotName, find_follower, read_grid
 from app.options import (
     OptionalFile,
@@ -22,7 +22,7 @@ from app.options import (
 )
 from app.output import PICTURE_ENDINGS, require_writable, write_text
 from app.progress import say
-from planner.options import FULL, HEURISTIC_PLANNERS, PlannerOptions
+from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
 
 FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
@@ -150,26 +150,23 @@ def _check_outputs(options: PlanOptions) -> None:
 
 def _search(options: PlanOptions) -> PlannerOptions:
     """What the planner is told."""
-    if options.heuristic != FULL and options.planner not in HEURISTIC_PLANNERS:
-        raise InputError(
-            f"--heuristic {options.heuristic} is for --planner {', '.join(HEURISTIC_PLANNERS)}: "
-            f"{options.planner} has its own"
-        )
     # A limit that the person sets takes the place of the planner's own.
     improve = options.time_limit is None and not options.prove
-    return PlannerOptions(
-        name=options.planner,
-        heuristic=options.heuristic,
-        epsilon=options.epsilon,
-        improve_expansions=PlannerOptions.improve_expansions if improve else None,
-        time_limit_s=options.time_limit,
-        refine=options.refine,
-        unknown_is_free=options.unknown_is_free,
-        record=options.search_image is not None,
-        seed=options.seed,
-        goal_reach_m=options.goal_tolerance.m,
-        goal_reach_rad=options.goal_tolerance.rad,
-    )
+    # Each option is right by itself; some do not go together.
+    with as_bad_input(ValueError):
+        return PlannerOptions(
+            name=options.planner,
+            heuristic=options.heuristic,
+            epsilon=options.epsilon,
+            improve_expansions=PlannerOptions.improve_expansions if improve else None,
+            time_limit_s=options.time_limit,
+            refine=options.refine,
+            unknown_is_free=options.unknown_is_free,
+            record=options.search_image is not None,
+            seed=options.seed,
+            goal_reach_m=options.goal_tolerance.m,
+            goal_reach_rad=options.goal_tolerance.rad,
+        )
 
 
 def summary(plan: FootstepPlan) -> str:

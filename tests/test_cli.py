@@ -141,6 +141,8 @@ def test_a_yaml_with_a_mistake(refused, write_map, changes, told):
         ((*GOAL, "--robot", "r2d2"), "jvrc1"),
         ((*GOAL, "--planner", "guess"), "'guess'"),
         ((*GOAL, "--epsilon", "0.9"), "'0.9'"),
+        ((*GOAL, "--heuristic", "guess"), "'guess'"),
+        ((*GOAL, "--heuristic", "path", "--planner", "adstar"), "for the planners ara, astar"),
         ((*GOAL, "--out", f"{ROOM}/plan.json"), "--out: cannot write"),
         ((*GOAL, "--image", "/nonexistent/plan.png"), "--image: cannot write"),
         ((*GOAL, "--image", "plan.gif"), "--image"),

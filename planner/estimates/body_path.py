@@ -174,6 +174,14 @@ def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPa
     return BodyPath(cost_um, NOWHERE_UM)
 
 
+def least_in_cells(cells: Int64s, values_um: Int64s) -> tuple[Int64s, Int64s]:
+    """Each of the cells (n,) once, in rising order, and the least of the values (n,) there."""
+    once, index = np.unique(cells, return_inverse=True)
+    least_um = np.full(len(once), np.iinfo(np.int64).max)
+    np.minimum.at(least_um, index, values_um)
+    return once, least_um
+
+
 def spread_from(space: Space, guide: Potential, cells: Int64s, costs_um: Int64s) -> BodyPath:
     """Path costs of the body's cells from any of the cells (n,), each with its own cost."""
     return BodyPath(_spread_everywhere(space, guide, cells, costs_um), NOWHERE_UM)

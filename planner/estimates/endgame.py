@@ -19,7 +19,7 @@ from planner.lattice.layout import IntArray, StepTable, final_cost_um, moved_cel
 from planner.model import StepModel
 
 _RADIUS_CELLS = 100
-_FAR_UM = 1 << 40
+FAR_UM = 1 << 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +139,7 @@ def _fill(
 def least_step(steps: IntArray) -> int:
     """Cost of the cheapest step of `backward_steps`."""
     rows, most, _ = steps.shape
-    least = _FAR_UM
+    least = FAR_UM
     for row in range(rows):
         for k in range(most):
             if steps[row, k, 3] > 0:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.estimates.endgame import backward_steps, least_step, longest_move
+from planner.estimates.endgame import FAR_UM, backward_steps, least_step, longest_move
 from planner.estimates.guide import Potential, grid_length
 from planner.jit import allocating, lean
 from planner.lattice.layout import IntArray, StepTable
@@ -29,7 +29,6 @@ from planner.lattice.pages import in_tiles, tiled, zeros
 SECTORS = 16
 _RADIUS_CELLS = 14
 _RING_CELLS = 2.3  # a path does not pass over so many
-_FAR_UM = 1 << 40
 _NO_DETOUR_UM = (1 << 30) + 1
 
 
@@ -103,8 +102,8 @@ def _leave(
     """
     rows, most, _ = steps.shape
     size = len(inside)
-    cost_um = np.full((size, size, rows), _FAR_UM, np.int64)
-    low, high = _FAR_UM, -_FAR_UM
+    cost_um = np.full((size, size, rows), FAR_UM, np.int64)
+    low, high = FAR_UM, -FAR_UM
     for r in range(size):
         for c in range(size):
             if rim[r, c]:
@@ -192,7 +191,7 @@ def exit_bound(
     place = in_tiles(across, up, cols)
     if detour_um[place, 0] == 0:
         measure_detours(detour_um[place], across, up, cols, path_um, frontier_um, rim)
-    least = _FAR_UM
+    least = FAR_UM
     for sector in range(SECTORS):
         least = min(least, turn_um[row, sector] + detour_um[place, sector])
     return least - 1

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.estimates.body_path import spread_from
+from planner.estimates.body_path import least_in_cells, spread_from
 from planner.lattice.layout import final_cost_um
 from planner.lattice.pages import zeros
 from planner.lattice.space import Int64s, Space, turned_round
@@ -122,9 +122,7 @@ def heuristic_toward_start(
     toward = request.toward
     potential_um = toward.tables.potential.potential_um.reshape(-1)
     value_um = costs_um + potential_um[nodes % (2 * request.space.headings)]
-    cells, index = np.unique(body_cells_of(toward, nodes), return_inverse=True)
-    least_um = np.full(len(cells), np.iinfo(np.int64).max)
-    np.minimum.at(least_um, index, value_um)
+    cells, least_um = least_in_cells(body_cells_of(toward, nodes), value_um)
     base_um = int(least_um.min())
     seeds = cells, least_um - base_um
     if further_um is None:

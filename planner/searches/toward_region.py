@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from planner.estimates.body_path import BodyPath, spread_from
+from planner.estimates.body_path import BodyPath, least_in_cells, spread_from
 from planner.estimates.exits import no_detours
 from planner.estimates.tables import Tables
 from planner.lattice.layout import final_cost_um
@@ -60,9 +60,7 @@ def path_to_ends(
     """What every end of a plan (n,) adds at least, and the path costs to the nearest end."""
     potential_um, rows = tables.potential.potential_um.reshape(-1), 2 * space.headings
     value_um = final_um - potential_um[ends % rows]
-    cells, index = np.unique(ends // rows + body_cell[ends % rows], return_inverse=True)
-    least_um = np.full(len(cells), np.iinfo(np.int64).max)
-    np.minimum.at(least_um, index, value_um)
+    cells, least_um = least_in_cells(ends // rows + body_cell[ends % rows], value_um)
     base_um = int(least_um.min())
     return base_um, spread_from(space, tables.potential, cells, least_um - base_um)
 
