@@ -8,7 +8,7 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 
-from app.commands import COMMANDS
+from app.command_table import COMMANDS
 from app.errors import ExitCode, InputError, one_line
 
 PROGRAM = "python main.py"

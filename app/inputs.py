@@ -8,10 +8,10 @@ from typing import Annotated
 
 from app.errors import as_bad_input
 from app.options import FileOption, OptionalLength, OptionalPose, choice, text
-from controller.follower import as_measured
 from controller.policy import PolicyError
+from controller.tracking_limits import as_measured
 from maps.grid import OccupancyGrid
-from maps.reader import MapError, load_map
+from maps.map_files import MapError, load_map
 from planner.options import HEURISTICS, PLANNERS
 from sim.robot import Robot
 from sim.robots import get_robot

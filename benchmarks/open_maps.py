@@ -19,12 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 import tyro
 
+from benchmarks.compare_planners import draw_queries
 from benchmarks.planner import ROBOT
-from benchmarks.planners import draw_queries
 from maps.grid import Cell, OccupancyGrid
-from planner.api import Planner
 from planner.options import PlannerOptions
 from planner.plan import Pose
+from planner.planner import Planner
 from planner.verify import violations
 
 _CELL_M, _DOOR_M, _WALL_CELLS = 0.05, 1.2, 3

@@ -27,8 +27,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from app.inputs import MapOptions, read_grid
-from app.page.opening import drawn, load_robot, opened
-from app.page.page import Page
+from app.viewer.opening import drawn, load_robot, opened
+from app.viewer.page import Page
 from benchmarks.page_watcher import Watcher
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))

@@ -24,11 +24,11 @@ import numpy as np
 import tyro
 
 from maps.grid import Cell, OccupancyGrid
-from maps.reader import load_map
-from planner.api import Planner
-from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from maps.map_files import load_map
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus
+from planner.planner import Planner
+from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from planner.verify import violations
 
 ROBOT = StepModel(

@@ -21,10 +21,10 @@ import tyro
 
 from benchmarks.planner import ROBOT, queries_by_map
 from maps.grid import Cell, OccupancyGrid
-from planner.api import Planner
-from planner.model import Side
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, Pose
+from planner.planner import Planner
+from planner.robot_model import Side
 from planner.verify import violations
 
 _OFF_M, _OFF_RAD = 0.007, 0.01

@@ -11,10 +11,10 @@ from controller.episodes import Episodes
 from controller.judging import Asked, fallen, joint_torques_nm, privileged, walk_state
 from controller.observation import critic_fields, normaliser, policy_fields
 from controller.planned import PlannedSteps
-from controller.reward import reward
-from controller.robustness import Disturbances
-from controller.sequences import MAX_STEPS
+from controller.randomization import Disturbances
+from controller.rewards import reward
 from controller.stairs import STAIR_MODES
+from controller.step_sequences import MAX_STEPS
 from controller.task_config import TaskConfig
 from controller.walker import Walker
 from sim.robot import Robot

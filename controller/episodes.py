@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from controller.curriculum import Stage
-from controller.cursor import Track
 from controller.gait import CONTROL_PERIOD_S
 from controller.planned import PlannedSteps
-from controller.robustness import Disturbances
-from controller.sequences import MAX_STEPS, draw_track
+from controller.randomization import Disturbances
 from controller.stairs import STAIR_MODES, draw_stairs
+from controller.step_cursor import Track
+from controller.step_sequences import MAX_STEPS, draw_track
 from controller.task_config import TaskConfig
 from controller.walker import Walker
 

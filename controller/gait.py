@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.model import Side
+from planner.robot_model import Side
 from sim.robot import GaitTiming
 
 CONTROL_PERIOD_S = 0.025

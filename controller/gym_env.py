@@ -14,7 +14,7 @@ import numpy as np
 
 from controller.curriculum import Stage
 from controller.gait import CONTROL_PERIOD_S
-from controller.gym_painter import Painter
+from controller.gym_render import Painter
 from controller.gym_task import (
     LANDING_ERRORS,
     action_space,

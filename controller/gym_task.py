@@ -10,8 +10,8 @@ from gymnasium import spaces
 from controller.curriculum import Stage
 from controller.env import WalkTask
 from controller.observation import SCALED_LIMIT, policy_fields
-from controller.sequences import MODES
 from controller.stairs import STAIR_MODES
+from controller.step_sequences import MODES
 from controller.task_config import TaskConfig
 from sim.robot import Robot
 from sim.robots import get_robot

@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 from controller.curriculum import Stage
 from controller.env import Transition
 from controller.gym_env import WalkEnv
-from controller.gym_painter import Painter
+from controller.gym_render import Painter
 from controller.gym_task import (
     LANDING_ERRORS,
     action_space,

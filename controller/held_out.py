@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller.assess import ModeResult, assess_mode
+from controller.assessment import ModeResult, assess_mode
 from controller.curriculum import Stage
 from controller.policy import Policy
 from controller.train_config import TrainConfig

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.observation import pelvis_yaw_rad, to_heading_frame, wrap_angle_rad
-from controller.reward import WalkState
+from controller.rewards import WalkState
 from controller.swing import lift_reference_m
 from controller.walker import Walker
 

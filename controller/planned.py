@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.cursor import Track
-from controller.sequences import chain_steps
-from planner.corpus import Corpus
-from planner.model import Side, StepModel
+from controller.step_cursor import Track
+from controller.step_sequences import chain_steps
+from planner.corpus.corpus import Corpus
+from planner.robot_model import Side, StepModel
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.cursor import Track
-from planner.model import Side, StepModel
+from controller.step_cursor import Track
 from planner.plan import relative_step
-from sim.treads import LANDING_DEPTH_M, TREAD_DEPTH_M, TREADS, Ground
+from planner.robot_model import Side, StepModel
+from sim.terrain import LANDING_DEPTH_M, TREAD_DEPTH_M, TREADS, Ground
 
 STAIR_MODES = ("stairs_up", "stairs_down", "stairs_over", "stairs_curved", "stairs")
 # How often each kind is drawn in the mode `stairs`.

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from controller.reward import PRECISE
-from controller.robustness import Robustness
+from controller.randomization import Robustness
+from controller.rewards import PRECISE
 
 EPISODE_TICKS = 400
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller.cursor import StepCursor, Track
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.observation import observe
+from controller.step_cursor import StepCursor, Track
 from sim.batch import SimBatch
 from sim.scene import Scene
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from maps.reader import MapMetadata
+from maps.map_files import MapMetadata
 
 YAML, IMAGE, HEIGHTS = "map.yaml", "map", "map_height"
 

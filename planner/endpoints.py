@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.checks.collision import Terrain, box_free
-from planner.checks.ground import heights_below
-from planner.model import BodyShape, FootShape, Side, StepModel
+from planner.collision import Terrain, box_free
+from planner.ground_heights import heights_below
 from planner.plan import feet_at, pair_pose
+from planner.robot_model import BodyShape, FootShape, Side, StepModel
 
 FloatArray = NDArray[np.float64]
 _SEARCH_RADIUS_M = 2.0

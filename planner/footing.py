@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.checks.collision import Terrain, terrain_of
-from planner.checks.ground import heights_below, resting_heights
-from planner.model import StepModel
+from planner.collision import Terrain, terrain_of
+from planner.ground_heights import heights_below, resting_heights
 from planner.plan import feet_at
+from planner.robot_model import StepModel
 
 FloatArray = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.model import Side
+from planner.robot_model import Side
 
 FORMAT = "footstep-plan/1"
 Pose = tuple[float, float, float]

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planner.api import Planner
-from planner.model import Side
 from planner.plan import FootstepPlan
+from planner.planner import Planner
+from planner.robot_model import Side
 
 
 def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLike]) -> FootstepPlan:

@@ -9,8 +9,8 @@ import shapely
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
-from planner.model import Side, StepModel
 from planner.plan import FootstepPlan
+from planner.robot_model import Side, StepModel
 from planner.verify_ground import Ground
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from shapely import affinity
 
 from maps.grid import OccupancyGrid
-from planner.model import Side, StepModel
+from planner.robot_model import Side, StepModel
 
 FloatArray = NDArray[np.float64]
 _TOLERANCE_M = 1e-6

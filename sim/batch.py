@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from sim.scene import Scene
-from sim.treads import Ground, GroundBatch
+from sim.terrain import Ground, GroundBatch
 from sim.variation import Variation
 
 _BAD_STATE = [

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.model import StepLimits, StepModel
+from planner.robot_model import StepLimits, StepModel
 
 if TYPE_CHECKING:
     import mujoco

@@ -11,7 +11,7 @@ import numpy as np
 from sim.ground import MapGround, add_ground
 from sim.robot import SURROUNDINGS_BITS, Robot
 from sim.sensors import SIDES, Sensors, add_sensors
-from sim.treads import add_treads
+from sim.terrain import add_treads
 
 WALL_HEIGHT_M = 1.0
 WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
@@ -88,7 +88,7 @@ def build_scene(
 
     With `visuals` the model also gets sky, light, floor pattern and the robot's meshes, if it
     has any; they change nothing in the physics. With `treads` the floor can be moved and there are
-    treads to be placed, per simulation (`sim.treads`). `ground` is that of a map that is not flat.
+    treads to be placed, per simulation (`sim.terrain`). `ground` is that of a map that is not flat.
     """
     spec = robot.build()
     spec.modelname = robot.name

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
-from planner.api import plan_footsteps
-from planner.model import StepModel
 from planner.plan import FootstepPlan
+from planner.planner import plan_footsteps
+from planner.robot_model import StepModel
 from tests.planner_oracle import small_model
 
 

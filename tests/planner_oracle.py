@@ -14,8 +14,8 @@ import numpy as np
 import shapely
 from shapely import affinity
 
-from planner.lattice.layout import build_step_table
-from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from planner.lattice.steps import build_step_table
+from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from tests.height_oracle import HeightOracle
 
 Node = tuple[int, int, int, int]  # col, row, heading, side

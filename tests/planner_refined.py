@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from maps.grid import OccupancyGrid
-from planner.api import plan_footsteps
-from planner.lattice.layout import feet_apart
-from planner.model import Side
+from planner.lattice.steps import feet_apart
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, relative_step
+from planner.planner import plan_footsteps
+from planner.robot_model import Side
 from planner.verify import violations
 from tests.planner_floor import fine_model, scatter
 from tests.planner_oracle import small_model

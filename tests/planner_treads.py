@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
-from planner.model import StepLimits
+from planner.robot_model import StepLimits
 from tests.planner_oracle import small_model
 
 LIMITS = StepLimits(x_m=(-0.2, 0.3), y_m=(0.14, 0.4), yaw_rad=(-0.4, 0.8), z_m=(-0.1, 0.1))

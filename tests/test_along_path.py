@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
-from planner.api import plan_footsteps
-from planner.body_paths import sampling
-from planner.body_paths.along_path import Strand, dense
-from planner.body_paths.body_motion import outline_of
-from planner.body_paths.headings import face_the_way, turning_rate, walking_rate
-from planner.body_paths.ompl_path import BodyWay
-from planner.checks.collision import box_free, terrain_of
+from planner.collision import box_free, terrain_of
 from planner.lattice.footsteps import Stance, cost_of
-from planner.lattice.layout import allowed, build_step_table, step_cost_um
-from planner.lattice.space import build_space
-from planner.model import Side
+from planner.lattice.lattice import build_space
+from planner.lattice.steps import allowed, build_step_table, step_cost_um
 from planner.options import PlannerOptions
 from planner.plan import feet_at, relative_step
-from planner.searches.window import corridor_along, into_frame, out_of_frame, window_around
+from planner.planner import plan_footsteps
+from planner.robot_model import Side
+from planner.sampling import sampling_planner as sampling
+from planner.sampling.body_motion import outline_of
+from planner.sampling.footsteps_along_path import Strand, dense
+from planner.sampling.ompl_paths import BodyWay
+from planner.sampling.path_headings import face_the_way, turning_rate, walking_rate
+from planner.sampling.window import corridor_along, into_frame, out_of_frame, window_around
 from planner.verify import violations
 from tests.planner_oracle import small_model
 

@@ -14,7 +14,7 @@ import torch
 
 from controller.checkpoint import CHECKPOINT, TrainingError, read_checkpoint
 from controller.ppo import PpoConfig
-from controller.train import Trainer
+from controller.runner import Trainer
 from controller.train_config import TrainConfig
 from sim.robots import get_robot
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.cli import main, overview
-from app.commands import COMMANDS
+from app.command_table import COMMANDS
 from app.errors import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -9,7 +9,7 @@ import cv2
 import pytest
 
 from app.cli import main
-from controller.sequences import MODES
+from controller.step_sequences import MODES
 
 ROOM = str(Path(__file__).resolve().parent.parent / "maps" / "room.png")
 

@@ -9,7 +9,7 @@ import cv2
 import pytest
 
 from app.cli import main
-from app.report import NavigationReport, Outcome
+from app.navigation.report import NavigationReport, Outcome
 from planner.plan import FootstepPlan
 
 ROOM = str(Path(__file__).resolve().parent.parent / "maps" / "room.png")

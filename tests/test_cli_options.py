@@ -10,7 +10,7 @@ from typing import Annotated
 import pytest
 
 from app.cli import PROGRAM
-from app.commands import COMMANDS
+from app.command_table import COMMANDS
 from app.errors import InputError
 from app.options import (
     FolderArgument,

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from app.commands import COMMANDS
+from app.command_table import COMMANDS
 from app.errors import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -29,7 +29,7 @@ def test_planning_loads_neither_torch_nor_mujoco():
     done = run_program("plan", "--map", ROOM, *GOAL, python=("-X", "importtime"))
     assert done.returncode == ExitCode.DONE
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "planner.api" in loaded
+    assert "planner.planner" in loaded
     heavy = {"torch", "mujoco", "matplotlib", "av", "gymnasium"}
     assert loaded & heavy == set()
 
@@ -62,12 +62,12 @@ def test_a_reader_that_leaves_early_is_no_trouble():
 
 STALL = """
 import os, signal, sys, threading
-import app.plan
+import app.commands.plan
 from app.cli import main
 def stall(options):
     print("stalled", flush=True)
     threading.Event().wait(60)
-app.plan.run = stall
+app.commands.plan.run = stall
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from app import dataset, train
 from app.cli import main
-from app.train import chosen_curriculum
-from app.train_options import TrainOptions
+from app.commands import dataset, train
+from app.commands.train import chosen_curriculum
+from app.commands.train_options import TrainOptions
 from controller.checkpoint import TrainingError
-from planner.corpus import MANIFEST, PLANS, corpus_of
+from planner.corpus.corpus import MANIFEST, PLANS, corpus_of
 from sim.robots import get_robot, robot_names
 
 WITH_H1 = pytest.mark.skipif(

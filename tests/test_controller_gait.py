@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controller.cursor import STANCE, StepCursor, Track
 from controller.gait import GaitTicks, clock, support_indicator
-from planner.model import Side
+from controller.step_cursor import STANCE, StepCursor, Track
+from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 
 TICKS = GaitTicks(swing=30, double_support=14)

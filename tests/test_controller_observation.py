@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from controller.cursor import Track
 from controller.env import WalkTask
 from controller.observation import (
     critic_fields,
@@ -15,7 +14,8 @@ from controller.observation import (
     roll_pitch_rad,
     steps_in_heading_frame,
 )
-from controller.sequences import draw_track
+from controller.step_cursor import Track
+from controller.step_sequences import draw_track
 from controller.walker import Walker
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene

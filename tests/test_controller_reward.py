@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller import reward as r
+from controller import rewards as r
 
 PERFECT = r.WalkState(
     support_indicator=np.array([[1.0, -1.0]]),

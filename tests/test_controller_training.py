@@ -8,23 +8,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.assess import assess_mode, in_step_frame
+from controller.assessment import assess_mode, in_step_frame
 from controller.checkpoint import TrainingError
 from controller.curriculum import Curriculum, Stage
-from controller.cursor import STANCE
 from controller.env import WalkTask
 from controller.planned import PlannedSteps
 from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
 from controller.ppo import PpoConfig
-from controller.sequences import MAX_STEPS, MODES, draw_track
+from controller.runner import Trainer
+from controller.step_cursor import STANCE
+from controller.step_sequences import MAX_STEPS, MODES, draw_track
 from controller.task_config import TaskConfig
-from controller.train import Trainer
 from controller.train_config import TrainConfig
 from maps.grid import OccupancyGrid
-from planner.api import plan_footsteps
-from planner.corpus import corpus_of
-from planner.model import Side
+from planner.corpus.corpus import corpus_of
 from planner.plan import feet_at, relative_step
+from planner.planner import plan_footsteps
+from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 
 TINY = TrainConfig(

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.corpus import Corpus, CorpusError, corpus_of
-from planner.model import Side
+from planner.corpus.corpus import Corpus, CorpusError, corpus_of
 from planner.plan import FootstepPlan, feet_at, relative_step
+from planner.robot_model import Side
 from sim.robots import get_robot
 
 MODEL = get_robot("jvrc1").step_model

@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 
 from app.cli import main
-from app.dataset import lhw_text
-from app.dataset_check import from_document
+from app.commands.dataset import lhw_text
+from app.commands.dataset_check import from_document
 from app.errors import ExitCode
 from maps.grid import Cell, OccupancyGrid
+from maps.map_files import find_map, load_map
 from maps.obstacles import with_boxes
-from maps.reader import find_map, load_map
 from maps.writer import copy_map
-from planner.corpus import Corpus
-from planner.model import StepModel
+from planner.corpus.corpus import Corpus
+from planner.corpus.generate import RandomPlans, floor_around, random_plans
 from planner.options import PlannerOptions
-from planner.random_plans import RandomPlans, floor_around, random_plans
+from planner.robot_model import StepModel
 from planner.verify import violations
 from sim.robots import get_robot, robot_names
 

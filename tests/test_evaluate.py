@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from app import evaluate
 from app.cli import main
-from app.evaluate_options import SECTION_NAMES, EvaluateOptions
+from app.commands import evaluate
+from app.commands.evaluate_options import SECTION_NAMES, EvaluateOptions
 from app.evaluation import limits as evaluate_limits
 from app.evaluation import modes as evaluate_modes
 from app.evaluation.beside import read_beside
@@ -19,14 +19,14 @@ from app.evaluation.figures import FIGURES, write_figures
 from app.evaluation.limits import measured_of, sole_errors_m
 from app.evaluation.modes import mode_row
 from app.evaluation.parts import Bench, finite
+from app.evaluation.report_text import report
 from app.evaluation.sections import SECTIONS
 from app.evaluation.table import plain_joint, table
-from app.evaluation.text import report
-from controller.assess import ModeResult
-from controller.follower import limits_from, load_measured, measured_path
+from controller.assessment import ModeResult
+from controller.evaluation.step_limits import StepWalks
 from controller.policy import POLICY_FOLDER, load_policy
-from controller.step_region import StepWalks
-from planner.model import FootShape
+from controller.tracking_limits import limits_from, load_measured, measured_path
+from planner.robot_model import FootShape
 from sim.robots import get_robot
 
 ROBOT = get_robot("jvrc1")

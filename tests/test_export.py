@@ -12,7 +12,7 @@ import numpy as np
 import onnx
 import pytest
 
-import app.export
+import app.commands.export
 from app.cli import main
 from controller.env import WalkTask
 from controller.onnx_export import FORMAT, to_onnx
@@ -138,7 +138,7 @@ def test_a_file_that_acts_otherwise_never_gets_its_name(tmp_path, monkeypatch, c
         layers = (*policy.layers[:-1], (weight, bias + np.float32(1e-3)))
         return to_onnx(replace(policy, layers=layers), robot)
 
-    monkeypatch.setattr(app.export, "to_onnx", wrong)
+    monkeypatch.setattr(app.commands.export, "to_onnx", wrong)
     assert main(["export", "--out", str(path)]) == 2
     assert "differs from its original by 0.001 rad" in capsys.readouterr().err
     assert path.read_bytes() == b"what was there"

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from app.inputs import find_follower
-from controller import step_region
-from controller.follower import (
+from controller.evaluation import step_limits as step_region
+from controller.evaluation.limit_search import Trial, corners_of, cut_back, search_limits
+from controller.evaluation.step_limits import StepWalks, kinds_over
+from controller.evaluation.sway import Reach, half_extent
+from controller.policy import Policy, PolicyError, load_policy, save_policy
+from controller.tracking_limits import (
     Measured,
     as_measured,
     load_measured,
     measured_path,
     to_text,
 )
-from controller.limit_search import Trial, corners_of, cut_back, search_limits
-from controller.policy import Policy, PolicyError, load_policy, save_policy
-from controller.step_region import StepWalks, kinds_over
-from controller.sway import Reach, half_extent
-from planner.lattice.layout import allowed
-from planner.model import StepLimits
+from planner.lattice.steps import allowed
+from planner.robot_model import StepLimits
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.navigator import Placed
+from app.navigation.navigator import Placed
 from app.pictures.footmarks import Footmarks, footmarks_of
-from planner.model import FootShape, Side
 from planner.plan import FootstepPlan, feet_at
+from planner.robot_model import FootShape, Side
 
 FOOT = FootShape(length_m=0.2, width_m=0.1)
 

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from controller.gym_painter import COLOURS
-from planner.model import Side
+from controller.gym_render import COLOURS
+from planner.robot_model import Side
 from sim.gl import NO_GL
 
 DRAW = """

@@ -12,8 +12,8 @@ import pytest
 from maps.distance import distance_field
 from maps.grid import Cell, OccupancyGrid
 from maps.make_maps import OFFICE, ROOM, draw
+from maps.map_files import load_map
 from maps.obstacles import merge_rectangles, obstacle_boxes
-from maps.reader import load_map
 
 MAPS = Path(__file__).parents[1] / "maps"
 

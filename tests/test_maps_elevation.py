@@ -12,7 +12,7 @@ import yaml
 
 from maps.grid import Cell, OccupancyGrid
 from maps.make_maps import SILLS, STAIRS, draw, draw_heights, write
-from maps.reader import MapError, MapWarning, load_map
+from maps.map_files import MapError, MapWarning, load_map
 
 
 @pytest.fixture

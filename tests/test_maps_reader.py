@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from maps.grid import Cell
-from maps.reader import MapError, MapWarning, load_map, yaml_lines
+from maps.map_files import MapError, MapWarning, load_map, yaml_lines
 
 F, O, U = Cell.FREE, Cell.OCCUPIED, Cell.UNKNOWN  # noqa: E741
 

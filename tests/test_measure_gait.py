@@ -6,10 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from controller.cursor import StepCursor, Track
-from controller.gait import CONTROL_PERIOD_S, GaitTicks
-from controller.gait_record import WalkRecord, repeated
-from controller.measure_gait import (
+from controller.evaluation.gait_metrics import (
     asymmetry,
     contact_agreement,
     cost_of_transport,
@@ -22,7 +19,10 @@ from controller.measure_gait import (
     posture,
     swing_lags,
 )
-from controller.push import DIRECTIONS, Push
+from controller.evaluation.gait_record import WalkRecord, repeated
+from controller.evaluation.push_recovery import DIRECTIONS, Push
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.step_cursor import StepCursor, Track
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.navigator import Navigator, NavigatorConfig
-from app.report import Outcome
-from app.trials import Course, draw_trials, summarise, table, walk_all
+from app.commands.trials import Course, draw_trials, summarise, table, walk_all
+from app.navigation.navigator import Navigator, NavigatorConfig
+from app.navigation.report import Outcome
 from controller.policy import Policy, load_policy
 from maps.grid import Cell, OccupancyGrid
-from planner.api import Planner
+from planner.planner import Planner
 from sim.clearance import min_clearance_m
 from sim.robots import get_robot
 

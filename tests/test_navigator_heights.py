@@ -8,17 +8,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from app.navigator import Navigator, Placed, scene_of
-from app.page.rover import Rover
+from app.commands.trials import Course, draw_trials
+from app.navigation.navigator import Navigator, Placed, scene_of
+from app.navigation.report import Outcome
 from app.pictures.cutaway import fixed_boxes
-from app.report import Outcome
-from app.trials import Course, draw_trials
+from app.viewer.live_navigator import Rover
 from controller.policy import load_policy
 from maps.grid import OccupancyGrid
-from maps.reader import load_map
+from maps.map_files import load_map
 from planner.footing import Footing
-from planner.model import Side
 from planner.plan import FootstepPlan
+from planner.robot_model import Side
 from sim.clearance import min_clearance_m
 from sim.robot import GROUND_PREFIX
 from sim.robots import get_robot

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.page.blocks import solid
+from app.viewer.blocks import solid
 
 
 def mesh(boxes: list[list[float]], rise_m: float = 1.0) -> trimesh.Trimesh:

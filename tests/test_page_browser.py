@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.page.camera import FIELD_OF_VIEW_RAD, overview
-from app.page.panel import CHOSEN
+from app.viewer.camera import FIELD_OF_VIEW_RAD, overview
+from app.viewer.panel import CHOSEN
 from maps.grid import OccupancyGrid
 
 ROOT = Path(__file__).resolve().parent.parent

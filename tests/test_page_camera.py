@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from app.page.camera import (
+from app.viewer.camera import (
     FIELD_OF_VIEW_RAD,
     FOLLOW_DISTANCE_M,
     FOLLOW_HEIGHT_M,

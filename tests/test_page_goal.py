@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.page.bodies import look_of
-from app.page.opening import drawn, opened
-from app.page.page import Page
-from app.page.panel import SPEEDS
-from app.page.pointer import Tool
+from app.viewer.opening import drawn, opened
+from app.viewer.page import Page
+from app.viewer.panel import SPEEDS
+from app.viewer.pointer import Tool
+from app.viewer.robot_scene import look_of
 from benchmarks.page_watcher import Watcher
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import viser
 
-from app.page.boxes import Obstacle
-from app.page.floor import add_floor
-from app.page.prints import Prints
-from app.page.server import open_server
-from app.page.signs import Marker
-from app.page.surface import surface_of
-from app.page.toybox import Toybox
-from maps.reader import load_map
-from planner.model import FootShape, Side
+from app.viewer.map_scene import add_floor
+from app.viewer.markers import Prints
+from app.viewer.obstacle_editor import Toybox
+from app.viewer.obstacles import Obstacle
+from app.viewer.server import open_server
+from app.viewer.signs import Marker
+from app.viewer.surface import surface_of
+from maps.map_files import load_map
+from planner.robot_model import FootShape, Side
 from sim.scene import WALL_HEIGHT_M
 
 STAIRS = load_map("maps/stairs.yaml")

@@ -10,11 +10,11 @@ import pytest
 
 from app.cli import main
 from app.errors import ExitCode
-from app.page.boxes import Obstacle, snapped, with_obstacles
-from app.page.pace import Pace
-from app.page.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
-from app.page.pointer import Pointed, facing, on_floor, toward
-from app.page.snapshot import Snapshot
+from app.viewer.obstacles import Obstacle, snapped, with_obstacles
+from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
+from app.viewer.pointer import Pointed, facing, on_floor, toward
+from app.viewer.real_time import Pace
+from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 
 GRID = OccupancyGrid(cells=np.zeros((20, 30), np.uint8), resolution_m=0.1, origin=(5.0, -3.0, 0.5))
@@ -147,7 +147,7 @@ def test_the_button_that_is_pressed_is_marked_and_means_the_same():
     [("-1.95,0,0", "the nearest free pose is -"), ("9,0,0", "is off the map")],
 )
 def test_serve_refuses_a_start_where_nobody_can_stand(start, words, capsys, monkeypatch):
-    monkeypatch.setattr("app.serve.opened", pytest.fail)
+    monkeypatch.setattr("app.commands.serve.opened", pytest.fail)
     assert main(["serve", "--map", "maps/room.png", "--start", start]) == ExitCode.BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert f"--start {start}" in line

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import zstandard
 
-from app.navigator import Placed
-from app.page.bodies import look_of
-from app.page.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
+from app.navigation.navigator import Placed
 from app.pictures.rendering import Recording
+from app.viewer.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
+from app.viewer.robot_scene import look_of
 from maps.grid import OccupancyGrid
-from planner.model import Side
 from planner.plan import FootstepPlan, feet_at
+from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 

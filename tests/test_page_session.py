@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.navigator import Navigator, NavigatorConfig
-from app.page.boxes import Obstacle, snapped
-from app.page.planning import PatientPlanner
-from app.page.rover import Rover
-from app.page.session import Session
+from app.navigation.navigator import Navigator, NavigatorConfig
+from app.viewer.live_navigator import Rover
+from app.viewer.obstacles import Obstacle, snapped
+from app.viewer.planner_process import PatientPlanner
+from app.viewer.session import Session
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid
-from planner.api import Planner
 from planner.options import PlannerOptions
+from planner.planner import Planner
 from sim.robots import get_robot
 
 ROBOT = get_robot("jvrc1")
@@ -214,7 +214,7 @@ def test_a_planner_that_dies_is_replaced(session):
 
 
 def test_a_planner_that_never_starts_is_given_up(monkeypatch):
-    monkeypatch.setattr("app.page.planning.answer_questions", sys.exit)
+    monkeypatch.setattr("app.viewer.planner_process.answer_questions", sys.exit)
     session = Session(HALL, ROBOT, POLICY)
 
     def load() -> None:

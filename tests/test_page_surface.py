@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from app.page.boxes import Obstacle, snapped
-from app.page.surface import FLOOR, WALL, Met, Surface, surface_of
+from app.viewer.obstacles import Obstacle, snapped
+from app.viewer.surface import FLOOR, WALL, Met, Surface, surface_of
 from maps.grid import OccupancyGrid
-from maps.reader import load_map
+from maps.map_files import load_map
 from sim.scene import WALL_HEIGHT_M
 
 # A hall of 3 by 2 m with a wall across it, from x = 1.0 to 1.1 m; walls are 1 m high.

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.page.camera import overview
-from app.page.opening import drawn, opened
-from app.page.page import Page
-from app.page.snapshot import Notice, Snapshot
+from app.viewer.camera import overview
+from app.viewer.opening import drawn, opened
+from app.viewer.page import Page
+from app.viewer.snapshot import Notice, Snapshot
 from benchmarks.page_watcher import Watcher
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid

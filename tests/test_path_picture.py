@@ -10,12 +10,12 @@ import pytest
 
 from app.errors import InputError
 from app.output import write_picture
+from app.pictures.canvas import LEFT, RIGHT, Canvas
 from app.pictures.legend import Swatch, with_legend
-from app.pictures.path_picture import BODY, PLANNED, foot_boxes, walk_picture, write_path_picture
+from app.pictures.plan_pictures import BODY, PLANNED, foot_boxes, walk_picture, write_path_picture
 from maps.grid import Cell, OccupancyGrid
-from planner.model import FootShape
-from planner.picture import LEFT, RIGHT, Canvas
 from planner.plan import FootstepPlan, PlanStatus, feet_at
+from planner.robot_model import FootShape
 from sim.robots import get_robot
 
 MODEL = get_robot("jvrc1").step_model

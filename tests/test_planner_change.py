@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner.checks.collision import terrain_of
-from planner.estimates.tables import tables_of
-from planner.lattice.change import change_between
+from planner.collision import terrain_of
+from planner.heuristics.tables import tables_of
+from planner.lattice.lattice import COST_UM, D_NODE, build_space, node_free
+from planner.lattice.map_change import change_between
 from planner.lattice.region import may_end_at
-from planner.lattice.space import COST_UM, D_NODE, build_space, node_free
-from planner.searches.graft import step_um
-from planner.searches.task import new_tree
+from planner.search.graft import step_um
+from planner.search.search_task import new_tree
 from tests.planner_floor import walled
 from tests.planner_oracle import small_model
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.api import Planner
 from planner.options import PlannerOptions
-from planner.searches.coarse import coarse_model, on_fine
+from planner.planner import Planner
+from planner.search.coarse_to_fine import coarse_model, on_fine
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_floor import blocked_at

@@ -9,7 +9,7 @@ import shapely
 from shapely import affinity
 
 from maps.grid import OccupancyGrid
-from planner.checks.collision import box_free, point_clearance, terrain_of
+from planner.collision import box_free, point_clearance, terrain_of
 
 
 def test_box_checks_agree_with_polygons_exactly():

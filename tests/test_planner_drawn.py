@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner.api import Planner
-from planner.estimates.body_path import spread_from
-from planner.estimates.guide import MOVES
-from planner.searches.drawn import draw_path, heuristic_on_the_way
-from planner.searches.heuristic import estimate, estimates
-from planner.searches.request import first_nodes
+from planner.heuristics.distance_field import spread_from
+from planner.heuristics.drawn import draw_path, heuristic_on_the_way
+from planner.heuristics.heuristic import estimate, estimates
+from planner.heuristics.potential import MOVES
+from planner.planner import Planner
+from planner.search.problem import first_nodes
 from tests.planner_floor import CASES, fine_model, scatter, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model
 from tests.test_planner_heuristic import request_of

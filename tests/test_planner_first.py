@@ -3,11 +3,11 @@
 import numpy as np
 
 from maps.grid import OccupancyGrid
-from planner.api import Planner
-from planner.estimates.exits import SECTORS
-from planner.estimates.tables import tables_of
+from planner.heuristics.tables import tables_of
+from planner.heuristics.turning import SECTORS
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
+from planner.planner import Planner
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_floor import blocked_at, walled

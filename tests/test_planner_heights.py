@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from maps.grid import OccupancyGrid
-from planner.api import Planner, plan_footsteps
-from planner.lattice.flood import Verdict, new_flood, spread
-from planner.model import Side
 from planner.plan import PlanStatus, feet_at
+from planner.planner import Planner, plan_footsteps
+from planner.robot_model import Side
+from planner.search.reachability import Verdict, new_flood, spread
 from planner.verify import violations
 from tests.planner_oracle import Oracle, small_model
 from tests.planner_treads import CASES, CLIMBER, LIMITS, floor

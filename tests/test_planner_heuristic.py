@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.api import Planner, _to_lattice, plan_footsteps
+from planner.heuristics.heuristic import estimate
 from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import feet_at
-from planner.searches.heuristic import estimate
-from planner.searches.quick import quick_path
-from planner.searches.request import Request, first_nodes
-from planner.searches.task import heuristic_toward_start
+from planner.planner import Planner, _to_lattice, plan_footsteps
+from planner.search.first_plan import quick_path
+from planner.search.problem import Request, first_nodes
+from planner.search.search_task import heuristic_toward_start
 from tests.planner_floor import CASES
 from tests.planner_oracle import Oracle, oracle_node, small_model
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from planner.api import Planner, plan_footsteps
-from planner.model import Side
 from planner.plan import PlanStatus, feet_at, wrap_angle
+from planner.planner import Planner, plan_footsteps
+from planner.robot_model import Side
 from planner.verify import violations
 from tests.planner_floor import CASES, fine_model, repeatable, scatter, walled
 from tests.planner_oracle import small_model

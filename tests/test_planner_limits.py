@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
-from planner.api import Planner, plan_footsteps
-from planner.lattice.flood import Verdict, new_flood, spread
-from planner.model import BodyShape
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
-from planner.searches import run
+from planner.planner import Planner, plan_footsteps
+from planner.robot_model import BodyShape
+from planner.search import ara_star as run
+from planner.search.reachability import Verdict, new_flood, spread
 from planner.verify import violations
 from tests.planner_floor import scatter
 from tests.planner_oracle import Oracle, small_model

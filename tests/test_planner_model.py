@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from planner.lattice.layout import build_step_table
-from planner.model import BodyShape, FootShape, Side, StepLimits
+from planner.lattice.steps import build_step_table
+from planner.robot_model import BodyShape, FootShape, Side, StepLimits
 from tests.planner_oracle import small_model
 
 

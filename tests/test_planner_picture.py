@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from app.pictures.canvas import LEFT, RIGHT, Canvas, body_path, draw_plan, write_picture
 from maps.grid import Cell, OccupancyGrid
-from planner.api import plan_footsteps
-from planner.model import Side
-from planner.picture import LEFT, RIGHT, Canvas, body_path, draw_plan, write_picture
 from planner.plan import PlanStatus
+from planner.planner import plan_footsteps
+from planner.robot_model import Side
 from tests.planner_floor import FLOOR, small_plan
 from tests.planner_oracle import small_model
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from planner.checks.collision import terrain_of
-from planner.estimates.tables import tables_of
-from planner.lattice.space import build_space
-from planner.searches.places import places_of, takes_place
+from planner.collision import terrain_of
+from planner.heuristics.tables import tables_of
+from planner.lattice.lattice import build_space
+from planner.search.places import places_of, takes_place
 from tests.planner_floor import FLOOR
 from tests.planner_oracle import small_model
 

@@ -9,9 +9,9 @@ import re
 import numpy as np
 import pytest
 
-from planner.api import plan_footsteps
-from planner.model import Side
 from planner.plan import FootstepPlan, feet_at, pair_pose, relative_step, wrap_angle
+from planner.planner import plan_footsteps
+from planner.robot_model import Side
 from tests.planner_floor import FLOOR, small_plan
 from tests.planner_oracle import small_model
 

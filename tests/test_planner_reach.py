@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import shapely
 
-from app.dataset_check import from_document
-from controller.follower import Measured, limits_from, planning_model
-from controller.sequences import MODES, draw_track, kept_within
-from planner.api import Planner, plan_footsteps
-from planner.model import StepLimits, StepModel
+from app.commands.dataset_check import from_document
+from controller.step_sequences import MODES, draw_track, kept_within
+from controller.tracking_limits import Measured, limits_from, planning_model
 from planner.options import PlannerOptions
-from planner.refinement.chain import NOT_ALLOWED, chain_cost_um
+from planner.planner import Planner, plan_footsteps
+from planner.refinement.cost import NOT_ALLOWED, chain_cost_um
+from planner.robot_model import StepLimits, StepModel
 from planner.verify import violations
 from tests.planner_floor import walled
 from tests.planner_oracle import Oracle, small_model

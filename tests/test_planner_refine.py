@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
-from planner.api import Planner, plan_footsteps
-from planner.model import Side
 from planner.plan import feet_at
+from planner.planner import Planner, plan_footsteps
+from planner.robot_model import Side
 from planner.through import plan_through
 from planner.verify import violations
 from tests.planner_oracle import small_model
@@ -71,7 +71,7 @@ def test_what_the_polygon_check_refuses_is_not_taken(monkeypatch):
     before, after = both(FLOOR, small_model(), start=start, goal=goal)
     assert after.cost_m < before.cost_m
     monkeypatch.setattr(
-        "planner.api.violations", lambda *_, **__: ["step 3: the foot hits something"]
+        "planner.planner.violations", lambda *_, **__: ["step 3: the foot hits something"]
     )
     kept = plan_footsteps(FLOOR, small_model(), options=REFINED, start=start, goal=goal)
     assert kept.cost_m == kept.cost_before_refinement_m == before.cost_m

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from planner.api import Planner
-from planner.model import Side, StepLimits
 from planner.plan import relative_step
+from planner.planner import Planner
+from planner.robot_model import Side, StepLimits
 from tests.planner_oracle import small_model
 from tests.planner_refined import (
     FLOOR,

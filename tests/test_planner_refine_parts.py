@@ -11,20 +11,20 @@ import shapely
 from shapely import affinity
 
 from maps.grid import OccupancyGrid
-from planner.api import Planner
-from planner.checks.collision import terrain_of
-from planner.lattice.layout import feet_apart
-from planner.model import Side
-from planner.refinement.barrier import add, new_work, note_costs, note_rules, take_block
-from planner.refinement.chain import (
+from planner.collision import terrain_of
+from planner.lattice.steps import feet_apart
+from planner.planner import Planner
+from planner.refinement.constraints import add, new_work, note_costs, note_rules, take_block
+from planner.refinement.cost import (
     build_rules,
     chain_cost_um,
     foot_height_um,
     gap_axis,
     step_between,
 )
+from planner.refinement.interior_point import _solve
 from planner.refinement.keep_off import WAYS, room_off_blocked
-from planner.refinement.relax import _solve
+from planner.robot_model import Side
 from tests.planner_oracle import small_model
 from tests.planner_refined import (
     FLOOR,
@@ -57,10 +57,10 @@ def chain_of(planner, plan):
     feet = plan.start_feet_world[:, [0, 1, 3]].copy()
     rules = build_rules(
         planner._toward[1].space,
-        planner.model,
+        planner.robot_model,
         feet,
         np.zeros(2, np.int64),
-        planner.model.body_margin_m,
+        planner.robot_model.body_margin_m,
     )
     poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
     return rules, poses, float(Side(int(plan.side[0])).outward)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner.api import plan_footsteps
-from planner.model import FootShape
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
+from planner.planner import plan_footsteps
+from planner.robot_model import FootShape
 from planner.verify import violations
 from tests.planner_floor import FLOOR, blocked_at
 from tests.planner_oracle import small_model

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.api import Planner, plan_footsteps
+from planner.heuristics.heuristic import estimate
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at, pair_pose
-from planner.searches.heuristic import estimate
+from planner.planner import Planner, plan_footsteps
 from planner.verify import violations
 from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model

@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from maps.grid import OccupancyGrid
-from planner.api import plan_footsteps
-from planner.estimates import rounded_spread
-from planner.estimates.rounded import Rounded, body_points, rounded_bound, rounded_steps
-from planner.estimates.rounded_spread import rounded_costs
-from planner.estimates.tables import tables_of
+from planner.heuristics import rounded_spread
+from planner.heuristics.rounded_plans import Rounded, body_points, rounded_bound, rounded_steps
+from planner.heuristics.rounded_spread import rounded_costs
+from planner.heuristics.tables import tables_of
 from planner.options import PlannerOptions
-from planner.searches import run, sharpen
-from planner.searches.request import first_nodes
-from planner.searches.task import forward_task
+from planner.planner import plan_footsteps
+from planner.search import ara_star as run
+from planner.search import sharpen
+from planner.search.problem import first_nodes
+from planner.search.search_task import forward_task
 from tests.planner_floor import CASES, fine_model, scatter
 from tests.planner_oracle import Oracle, oracle_node, small_model
 from tests.test_planner_heuristic import request_of

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planner.api import plan_footsteps
-from planner.model import StepModel
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
+from planner.planner import plan_footsteps
+from planner.robot_model import StepModel
 from planner.verify import violations
 from tests.planner_floor import CASES, repeatable, walled
 from tests.planner_oracle import Oracle, small_model

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from maps.reader import load_map
-from planner.api import Planner, plan_footsteps
-from planner.lattice.layout import step_cost_um
-from planner.model import Side
+from maps.map_files import load_map
+from planner.lattice.steps import step_cost_um
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import PlanStatus, relative_step
+from planner.planner import Planner, plan_footsteps
+from planner.robot_model import Side
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_floor import fine_model, repeatable, walled
@@ -173,7 +173,7 @@ def test_stairs_are_climbed():
 
 def test_a_search_by_ara_does_not_load_ompl():
     code = (
-        "import sys, app.plan, planner.api, planner.backends as b; b.backend('ara');"
+        "import sys, app.commands.plan, planner.planner, planner.backends as b; b.backend('ara');"
         "assert 'ompl' not in sys.modules;"
         "b.backend('fmt'); assert 'ompl' in sys.modules"
     )

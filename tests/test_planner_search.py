@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
-from planner.api import Planner, plan_footsteps
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
+from planner.planner import Planner, plan_footsteps
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_floor import CASES, walled

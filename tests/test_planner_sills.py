@@ -10,10 +10,10 @@ import shapely
 from shapely import affinity
 
 from maps.grid import Cell, OccupancyGrid
-from maps.reader import load_map
-from planner.api import plan_footsteps
+from maps.map_files import load_map
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus
+from planner.planner import plan_footsteps
 from planner.verify import violations
 from sim.robots import get_robot
 

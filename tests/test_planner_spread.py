@@ -5,8 +5,9 @@ import heapq
 import numpy as np
 import pytest
 
-from planner.checks.collision import terrain_of
-from planner.estimates.spread import (
+from planner.collision import terrain_of
+from planner.heuristics.tables import tables_of
+from planner.heuristics.wavefront import (
     EVERYWHERE,
     NO_CELLS,
     NOT_DRAWN,
@@ -18,8 +19,7 @@ from planner.estimates.spread import (
     moves_of,
     spread_costs,
 )
-from planner.estimates.tables import tables_of
-from planner.lattice.space import build_space
+from planner.lattice.lattice import build_space
 from tests.planner_floor import blocked_at
 from tests.planner_oracle import small_model
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from maps.reader import load_map
-from planner.api import plan_footsteps
-from planner.picture import draw_plan
+from app.pictures.canvas import draw_plan
+from maps.map_files import load_map
 from planner.plan import PlanStatus
+from planner.planner import plan_footsteps
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_treads import LIMITS

@@ -9,8 +9,8 @@ import pytest
 import shapely
 from shapely import affinity
 
-from planner.lattice.layout import allowed, build_step_table, feet_apart, table_steps
-from planner.model import FootShape, StepLimits
+from planner.lattice.steps import allowed, build_step_table, feet_apart, table_steps
+from planner.robot_model import FootShape, StepLimits
 from tests.planner_oracle import small_model
 
 MODELS = {

@@ -169,7 +169,7 @@ except NoGlError as error:
     sys.exit(str(error))
 import mujoco, numpy as np
 from app.pictures.strip import write_strip
-from app.pictures.video import write_film
+from app.pictures.film import write_film
 model = mujoco.MjModel.from_xml_string('''
 <mujoco>
   <worldbody>

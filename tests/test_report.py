@@ -6,7 +6,13 @@ import json
 import pytest
 
 from app.errors import ExitCode
-from app.report import FootError, NavigationReport, Outcome, PolicyFile, installed_versions
+from app.navigation.report import (
+    FootError,
+    NavigationReport,
+    Outcome,
+    PolicyFile,
+    installed_versions,
+)
 
 REPORT = NavigationReport(
     outcome=Outcome.REACHED,

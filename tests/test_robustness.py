@@ -10,12 +10,12 @@ import pytest
 from controller.curriculum import Stage
 from controller.env import WalkTask
 from controller.gait import CONTROL_PERIOD_S
-from controller.robustness import PUSH_TICKS, Disturbances, Robustness
+from controller.randomization import PUSH_TICKS, Disturbances, Robustness
 from controller.task_config import TaskConfig
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene
-from sim.treads import Ground
+from sim.terrain import Ground
 
 COUNT = 400
 LOUD = replace(Robustness(), quiet_share=0.0, late_share=1.0, push_share=1.0)

@@ -10,12 +10,12 @@ import pytest
 from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
-from controller.cursor import STANCE
 from controller.stairs import STAIR_MODES, draw_stairs
-from planner.model import Side
+from controller.step_cursor import STANCE
 from planner.plan import feet_at, relative_step
+from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
-from sim.treads import (
+from sim.terrain import (
     LANDING_DEPTH_M,
     LANDING_WIDTH_M,
     LANDINGS,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
+from maps.map_files import load_map
 from maps.obstacles import obstacle_boxes
-from maps.reader import load_map
 from maps.terraces import plates_of, terraces_of
 
 

@@ -9,7 +9,7 @@ from controller.gait import CONTROL_PERIOD_S
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene
-from sim.treads import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground
+from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground
 
 POSE = np.array([[0.3, -0.2, 0.5, 1.0]])
 

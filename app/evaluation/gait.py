@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 
 from app.evaluation.parts import Bench, Part, Results
-from controller.gait import GaitTicks
-from controller.gait_record import Step, WalkRecord, record_walk
-from controller.measure_gait import (
+from controller.evaluation.gait_metrics import (
     contact_agreement,
     cost_of_transport,
     distance_m,
@@ -23,8 +21,10 @@ from controller.measure_gait import (
     posture,
     swing_lags,
 )
-from controller.push import DIRECTIONS, WALK_S, push_recovery
-from controller.sequences import kept_within
+from controller.evaluation.gait_record import Step, WalkRecord, record_walk
+from controller.evaluation.push_recovery import DIRECTIONS, WALK_S, push_recovery
+from controller.gait import GaitTicks
+from controller.step_sequences import kept_within
 
 RECORDED_S = 10.0
 RECORDED = 16

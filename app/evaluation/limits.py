@@ -13,22 +13,22 @@ from typing import Any
 import numpy as np
 
 from app.evaluation.parts import Bench, Part, Results
-from controller.cursor import Track
-from controller.follower import Measured, limits_from, planning_model
-from controller.gait import CONTROL_PERIOD_S
-from controller.limit_search import Trial, search_limits
-from controller.step_region import (
+from controller.evaluation.limit_search import Trial, search_limits
+from controller.evaluation.rollouts import set_off, walk
+from controller.evaluation.step_limits import (
     WALK_S,
     StepWalks,
     kinds_over,
     step_map,
     walk_within,
 )
-from controller.sway import Reach
-from controller.walks import set_off, walk
+from controller.evaluation.sway import Reach
+from controller.gait import CONTROL_PERIOD_S
+from controller.step_cursor import Track
+from controller.tracking_limits import Measured, limits_from, planning_model
 from maps.grid import OccupancyGrid
-from planner.lattice.layout import allowed
-from planner.model import FootShape, StepLimits
+from planner.lattice.steps import allowed
+from planner.robot_model import FootShape, StepLimits
 
 SUCCESS = 0.99
 # An episode on stairs climbs more steps than most flights have.
@@ -124,7 +124,7 @@ def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
 
 def _sway_m(bench: Bench, limits: StepLimits, count: int) -> list[tuple[str, float, float]]:
     """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
-    from planner.api import Planner  # the compiled search takes a second to load
+    from planner.planner import Planner  # the compiled search takes a second to load
 
     provisional = Measured(
         robot=bench.robot.name,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from app.evaluation.parts import Bench, Part, Results
-from controller.assess import ModeResult, assess_mode, at_navigation_rate
+from controller.assessment import ModeResult, assess_mode, at_navigation_rate
+from controller.evaluation.rollouts import AT_ONCE, portions, set_off, walk
 from controller.gait import CONTROL_PERIOD_S
-from controller.sequences import MODES, draw_track
-from controller.walks import AT_ONCE, portions, set_off, walk
+from controller.step_sequences import MODES, draw_track
 
 EPISODE_S = 10.0
 LONG_WALK_S = 60.0

@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.dataset_check import plan_of
+from app.commands.dataset_check import plan_of
 from app.output import write_picture
+from app.pictures.canvas import GOAL, LEFT, PATH, RIGHT, START, Canvas, body_path
 from app.pictures.legend import INK, PAPER, Swatch, with_legend
 from maps.grid import OccupancyGrid
 from maps.obstacles import with_boxes
-from planner.corpus import Corpus
-from planner.model import Side, StepModel
-from planner.picture import GOAL, LEFT, PATH, RIGHT, START, Canvas, body_path
+from planner.corpus.corpus import Corpus
 from planner.plan import FootstepPlan
+from planner.robot_model import Side, StepModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.model import FootShape, Side
-from planner.picture import LEFT, RIGHT
+from app.pictures.canvas import LEFT, RIGHT
 from planner.plan import FootstepPlan
+from planner.robot_model import FootShape, Side
 
 if TYPE_CHECKING:
     import mujoco
 
-    from app.navigator import Placed
+    from app.navigation.navigator import Placed
 
 FloatArray = NDArray[np.float64]
 

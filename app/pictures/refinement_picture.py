@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from app.output import write_picture
+from app.pictures.canvas import LEFT, PATH, RIGHT, draw_plan
 from app.pictures.legend import PAPER, Picture, Swatch, with_legend
 from maps.grid import OccupancyGrid
-from planner.model import StepModel
-from planner.picture import LEFT, PATH, RIGHT, draw_plan
 from planner.plan import FootstepPlan
+from planner.robot_model import StepModel
 
 _GAP_PX = 16
 

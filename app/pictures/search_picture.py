@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from app.output import replacing
 from maps.grid import OccupancyGrid
-from planner.model import Side
 from planner.plan import FootstepPlan
-from planner.searches.request import SearchRecord
+from planner.robot_model import Side
+from planner.search.problem import SearchRecord
 
 FEET = {Side.LEFT: "#1f77b4", Side.RIGHT: "#d62728"}
 GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.checks.collision import point_clearance
-from planner.lattice.layout import allowed, step_cost_um
-from planner.lattice.space import Space, clearance_cost
-from planner.model import Side, StepModel
+from planner.collision import point_clearance
+from planner.lattice.lattice import Space, clearance_cost
+from planner.lattice.steps import allowed, step_cost_um
 from planner.plan import wrap_angle
+from planner.robot_model import Side, StepModel
 
 FloatArray = NDArray[np.float64]
 Int64s = NDArray[np.int64]

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.checks.collision import NO_GROUND_UM, box_free
-from planner.checks.ground import box_heights
+from planner.collision import NO_GROUND_UM, box_free
+from planner.ground_heights import box_heights
 from planner.jit import allocating, lean
+from planner.lattice.lattice import Int64s, Space, node_free, to_grid
 from planner.lattice.slots import slot_of
-from planner.lattice.space import Int64s, Space, node_free, to_grid
 
 _ROUNDING = 1e-9
 

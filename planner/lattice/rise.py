@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import math
 
-from planner.checks.collision import NEAR_M, Terrain
-from planner.checks.ground import highest_between
+from planner.collision import NEAR_M, Terrain
+from planner.ground_heights import highest_between
 from planner.jit import lean
+from planner.lattice.lattice import Space, to_grid
 from planner.lattice.slots import slot_of
-from planner.lattice.space import Space, to_grid
 
 Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.checks.collision import NO_GROUND_UM, Terrain, point_clearance
+from planner.collision import NO_GROUND_UM, Terrain, point_clearance
 from planner.jit import lean
 
 FloatArray = NDArray[np.float64]

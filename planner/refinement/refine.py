@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.jit import allocating
-from planner.lattice.layout import MICRO
+from planner.lattice.steps import MICRO
 from planner.plan import wrap_angle
-from planner.refinement.chain import (
+from planner.refinement.cost import (
     NOT_ALLOWED,
     Rules,
     build_rules,
@@ -31,8 +31,8 @@ from planner.refinement.chain import (
     foot_height_um,
     turn_between,
 )
-from planner.refinement.relax import relax
-from planner.searches.request import Request, Result
+from planner.refinement.interior_point import relax
+from planner.search.problem import Request, Result
 
 FloatArray = NDArray[np.float64]
 _ITERATIONS = 12  # of one attempt; nearly all that succeed at all do so in fewer

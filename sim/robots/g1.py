@@ -9,7 +9,7 @@ the meshes and the contact points of the model's feet, and what the planner is t
 
 from __future__ import annotations
 
-from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from sim.menagerie import EXTRA, PACKAGE, MenagerieModel, Shapes
 from sim.robot import GaitTiming, Robot, both_legs
 from sim.solids import Box, Rod

@@ -11,7 +11,7 @@ degrees in the step set, and 7 at the corners of the step limits.
 
 from __future__ import annotations
 
-from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from sim.menagerie import EXTRA, PACKAGE, MenagerieModel, Shapes
 from sim.robot import GaitTiming, Robot, both_legs
 from sim.solids import Box, Rod

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from sim.robot import (
     LEFT_LEG_BITS,
     RIGHT_LEG_BITS,

@@ -1,0 +1,200 @@
+"""The command `dataset check`: every step of a corpus, by geometry that no search uses."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.commands.dataset_options import DatasetCheckOptions
+from app.errors import ExitCode, as_bad_input
+from app.inputs import find_robot
+from app.output import to_json
+from app.progress import ProgressBar, say
+from app.workers import in_order, portions
+from maps.grid import OccupancyGrid
+from maps.map_files import MapError, load_map
+from maps.obstacles import with_boxes
+from planner.corpus.corpus import MANIFEST, PLANS, Corpus, CorpusError
+from planner.plan import FootstepPlan, PlanStatus
+from planner.robot_model import StepModel
+from planner.verify import violations
+
+FORMAT = "footstep-corpus-check/1"
+PORTION = 50
+_SHOWN = 20
+# A floor of so many cells takes 100 MB.
+_MOST_CELLS = 100_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """What the plans of a corpus must keep to: the floor that all share, and the robot's limits."""
+
+    grid: OccupancyGrid
+    model: StepModel
+    unknown_is_free: bool
+
+
+Portion = list[tuple[FootstepPlan, NDArray[np.float64]]]
+
+
+def run(options: DatasetCheckOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    with as_bad_input(CorpusError, MapError):
+        corpus = Corpus.load(options.folder, even_if_changed=True)
+        rules = rules_of(options.folder, corpus)
+    if options.robot is not None:
+        rules = dataclasses.replace(rules, model=find_robot(options.robot).step_model)
+    wrong = check(corpus, rules, options.workers)
+    digest = hashlib.sha256((options.folder / PLANS).read_bytes()).hexdigest()
+    changed = digest != corpus.manifest.get("sha256")
+    document = {
+        "format": FORMAT,
+        "folder": str(options.folder),
+        "robot": options.robot or corpus.robot,
+        "plans": len(corpus),
+        "steps": len(corpus.side),
+        "changed": changed,
+        "wrong": {str(number): lines for number, lines in wrong.items()},
+    }
+    if options.json:
+        print(to_json(document), end="")
+    else:
+        counts = f"{len(corpus)} plans with {len(corpus.side)} steps"
+        print(f"{counts}: " + (f"{len(wrong)} plans are wrong" if wrong else "all are right"))
+    lines = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
+    for line in lines[:_SHOWN]:
+        say(line)
+    if len(lines) > _SHOWN:
+        say(f"... and {len(lines) - _SHOWN} more; --json shows all")
+    if changed:
+        say(f"{PLANS} is not the file that {MANIFEST} was written for")
+    return ExitCode.BAD_INPUT if wrong or changed else ExitCode.DONE
+
+
+def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
+    """What is wrong, by the number of the plan; plans that are right are left out."""
+    portion_of = portions(len(corpus), workers, PORTION)
+    width_m = rules.model.stance_width_m
+    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
+    wrong: dict[int, list[str]] = {}
+    with ProgressBar("plans", len(corpus)) as bar:
+        found = in_order(functools.partial(check_plans, rules), jobs, workers)
+        for numbers, lines in zip(portion_of, found, strict=True):
+            wrong.update({n: those for n, those in zip(numbers, lines, strict=True) if those})
+            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
+    return wrong
+
+
+def check_plans(rules: Rules, portion: Portion) -> list[list[str]]:
+    """What is wrong with each of these plans."""
+    return [
+        violations(
+            plan,
+            with_boxes(rules.grid, boxes),
+            rules.model,
+            unknown_is_free=rules.unknown_is_free,
+        )
+        for plan, boxes in portion
+    ]
+
+
+def plan_of(corpus: Corpus, i: int, stance_width_m: float) -> FootstepPlan:
+    """Plan i as a value of its own, which begins at the pair pose of its start."""
+    side, pose = corpus.plan(i)
+    start, goal = (tuple(float(v) for v in of[i]) for of in (corpus.start, corpus.goal))
+    return FootstepPlan(
+        start_feet_world=corpus.start_feet(i, stance_width_m),
+        start=typing.cast(tuple[float, float, float], start),
+        goal=typing.cast(tuple[float, float, float], goal),
+        side=side,
+        pose_world=pose,
+        robot=corpus.robot,
+        status=PlanStatus(str(corpus.status[i])),
+        cost_m=float(corpus.cost_m[i]),
+    )
+
+
+def rules_of(folder: Path, corpus: Corpus) -> Rules:
+    """The floor and the step model that the manifest tells of.
+
+    Raises:
+        CorpusError: It does not tell them.
+        MapError: The map beside it cannot be read.
+    """
+    manifest = corpus.manifest
+    try:
+        if manifest["map"] is not None:
+            grid = load_map(folder / str(manifest["map"]["file"]))
+        else:
+            grid = _floor(manifest["floor"])
+        return Rules(
+            grid=grid,
+            model=from_document(StepModel, manifest["step_model"]),
+            unknown_is_free=bool(manifest["planner"]["unknown_is_free"]),
+        )
+    except KeyError as error:
+        raise CorpusError(f"{folder}: {MANIFEST}: {error} is missing") from None
+    except MapError:
+        raise
+    except (TypeError, ValueError) as error:
+        raise CorpusError(f"{folder}: {MANIFEST}: {error}") from None
+
+
+def _floor(document: Mapping[str, Any]) -> OccupancyGrid:
+    rows, cols = int(document["rows"]), int(document["cols"])
+    if not 0 < rows * cols <= _MOST_CELLS or rows < 1:
+        raise ValueError(f"floor {rows} x {cols} must have from 1 to {_MOST_CELLS} cells")
+    x_m, y_m, yaw_rad = (float(v) for v in document["origin"])
+    return OccupancyGrid(
+        cells=np.zeros((rows, cols), np.uint8),
+        resolution_m=float(document["resolution_m"]),
+        origin=(x_m, y_m, yaw_rad),
+    )
+
+
+Value = typing.TypeVar("Value")
+
+
+def from_document(kind: type[Value], document: Any) -> Value:
+    """The dataclass that `dataclasses.asdict` and JSON made a document of.
+
+    Raises:
+        TypeError, ValueError: The document has other keys, or values of other types.
+    """
+    if not isinstance(document, Mapping):
+        raise TypeError(f"{kind.__name__} {document!r} must be an object with keys")
+    kinds = typing.get_type_hints(kind)
+    unknown = document.keys() - kinds.keys()
+    if unknown:
+        raise TypeError(f"{kind.__name__} has no {min(unknown)!r}: another version wrote this")
+    return kind(**{name: _value(kinds[name], value) for name, value in document.items()})
+
+
+def _value(kind: Any, value: Any) -> Any:
+    """A value of a type hint: a dataclass, a tuple or union of values, or a plain one."""
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        return from_document(kind, value)
+    if typing.get_origin(kind) in (typing.Union, types.UnionType):
+        options = [option for option in typing.get_args(kind) if option is not type(None)]
+        return None if value is None else _value(options[0], value)
+    if typing.get_origin(kind) is tuple:
+        if not isinstance(value, list):
+            raise TypeError(f"{value!r} must be a list")
+        inner = typing.get_args(kind)
+        kinds = [inner[0]] * len(value) if inner[-1] is Ellipsis else list(inner)
+        return tuple(_value(k, v) for k, v in zip(kinds, value, strict=True))
+    if isinstance(value, bool | int | float) and not math.isfinite(value):
+        raise ValueError(f"{value!r} must be finite")
+    return value

@@ -1,0 +1,130 @@
+"""The command `evaluate`: how well a policy walks, measured section by section, as one report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from app.commands.evaluate_options import EvaluateOptions
+from app.errors import ExitCode, InputError, as_bad_input
+from app.evaluation.beside import read_beside
+from app.evaluation.limits import measured_of
+from app.evaluation.parts import Bench, Kept, Part, Results, finite
+from app.evaluation.report_text import report
+from app.evaluation.sections import SECTIONS
+from app.inputs import find_robot
+from app.navigation.report import installed_versions
+from app.output import make_folder, to_json, write_text
+from app.progress import ProgressBar, say
+from controller.policy import PolicyError, load_policy
+from controller.tracking_limits import Measured, measured_path, to_text
+
+FORMAT = "policy-evaluation/2"
+# Sections whose parts are rows of one table; the others have one document for each part.
+TABLES = ("modes", "stairs", "push", "energy")
+# With fewer walks 99 % and 97 % are told apart by chance only.
+ENOUGH_EPISODES = 100
+
+
+def run(options: EvaluateOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    robot = find_robot(options.robot)
+    with as_bad_input(PolicyError):
+        policy = load_policy(robot, options.policy)
+    beside = read_beside(options.beside, robot.name, FORMAT) if options.beside else None
+    make_folder(options.out, option="--out")
+    bench = Bench(
+        robot=robot,
+        policy=policy,
+        episodes=options.episodes,
+        seed=options.seed,
+        threads=options.workers or os.cpu_count() or 1,
+    )
+    parts = [part for section in SECTIONS.values() for part in section(bench)]
+    results: Results = {}
+    try:
+        _measure(parts, options, Kept(options.out, bench), results)
+    except KeyboardInterrupt:
+        _write(options, document_of(bench, parts, results, None))
+        raise
+    stored = _store(options, bench, measured_of(bench, results))
+    document = document_of(bench, parts, results, stored)
+    if beside is not None:
+        document["beside"] = beside
+    # Here and not above: it takes a while to load, and a run that is cut off needs none of it.
+    from app.evaluation.figures import write_figures
+
+    write_figures(document, options.out)
+    _write(options, document)
+    print(to_json(document) if options.json else report(document), end="")
+    return ExitCode.DONE
+
+
+def _measure(parts: Sequence[Part], options: EvaluateOptions, kept: Kept, results: Results) -> None:
+    """Fill in the results of all parts that are wanted, or kept from a run of the same settings."""
+    found = {part.name: kept.read(part) for part in parts}
+    results |= {name: result for name, result in found.items() if result is not None}
+    wanted = [part for part in parts if part.section in options.sections]
+    missing = [part for part in wanted if part.name not in results]
+    if len(missing) < len(wanted):
+        say(f"{len(wanted) - len(missing)} of {len(wanted)} parts are there already")
+    done = 0.0
+    with ProgressBar("evaluating, s walked", sum(part.robot_seconds for part in missing)) as bar:
+        for part in missing:
+            bar.update(done, part.name)
+            results[part.name] = finite(part.measure(results))
+            kept.write(part, results[part.name])
+            done += part.robot_seconds
+
+
+def _store(options: EvaluateOptions, bench: Bench, measured: Measured | None) -> str | None:
+    """Put what planning is to know beside the weights; gives the file, or None if it is not put."""
+    if measured is None or "limits" not in options.sections:
+        return None
+    path = measured_path(options.policy, bench.robot)
+    if bench.episodes < ENOUGH_EPISODES:
+        say(f"{bench.episodes} episodes are too few to tell 99 %: {path} is left as it is")
+        return None
+    try:
+        write_text(path, to_text(measured))
+    except InputError as error:
+        say(f"what planning is to know of this policy is not stored beside it: {error}")
+        return None
+    return path.name
+
+
+def document_of(
+    bench: Bench, parts: Sequence[Part], results: Results, stored: str | None
+) -> dict[str, Any]:
+    """evaluation.json: what is known of each section; of those not measured there is nothing."""
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "robot": bench.robot.name,
+        "policy_sha256": bench.policy.about["sha256"],
+        "trained": bench.policy.about.get("trained"),
+        "episodes": bench.episodes,
+        "seed": bench.seed,
+        "versions": installed_versions(),
+    }
+    for section in SECTIONS:
+        names = [part.name for part in parts if part.section == section]
+        done = [name for name in names if name in results]
+        if section in TABLES and done:
+            document[section] = [results[name] for name in done]
+        elif section == "limits" and len(done) == len(names):
+            measured = measured_of(bench, results)
+            document[section] = {
+                **{name.removeprefix("limits-"): results[name] for name in names},
+                "measured": None if measured is None else asdict(measured),
+                "stored": stored,
+            }
+        elif section not in TABLES and section != "limits" and done:
+            document[section] = results[done[0]]
+    return document
+
+
+def _write(options: EvaluateOptions, document: dict[str, Any]) -> None:
+    write_text(options.out / "evaluation.json", to_json(document))
+    write_text(options.out / "report.md", report(document))

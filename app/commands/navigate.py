@@ -1,0 +1,225 @@
+"""The command `navigate`: plan, walk in MuJoCo with the trained policy, report."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from app.commands.navigate_options import NavigateOptions
+from app.errors import InputError, as_bad_input
+from app.inputs import find_follower, read_grid
+from app.navigation.navigator import (
+    GOAL_TOLERANCE_M,
+    GOAL_TOLERANCE_RAD,
+    Navigator,
+    NavigatorConfig,
+    scene_of,
+)
+from app.navigation.report import (
+    FootError,
+    NavigationReport,
+    Outcome,
+    PolicyFile,
+    installed_versions,
+)
+from app.options import Pose, Reach
+from app.output import PICTURE_ENDINGS, make_folder, require_writable, write_text
+from app.pictures.plan_pictures import write_path_picture
+from app.pictures.rendering import FOLLOW, Recording
+from app.progress import ProgressBar, say
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
+from maps.grid import OccupancyGrid
+from planner.plan import FootstepPlan
+from sim.clearance import min_clearance_m
+from sim.robot import Robot
+
+
+def run(options: NavigateOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    started = time.perf_counter()
+    _require_reachable(options)
+    grid, robot = read_grid(options), find_follower(options.robot, options.policy)
+    policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
+    with as_bad_input(PolicyError):
+        policy = load_policy(robot, policy_path)
+    _check_outputs(options)
+    with ExitStack() as stack:
+        if options.view:
+            from app.viewer.view import viewed
+
+            navigator = stack.enter_context(viewed(options, grid, robot, policy))
+            # Who watches may have sent the robot somewhere else.
+            options = dataclasses.replace(options, goal=Pose(*navigator.goal))
+        else:
+            navigator = walked(options, grid, robot, policy)
+        plan = dataclasses.replace(
+            navigator.plans[0],
+            robot=robot.name,
+            map=str(options.map),
+            start=options.start,
+            goal=options.goal,
+        )
+        report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
+        _write(options, navigator, plan, report)
+        print(report.to_json() if options.json else report.summary() + "\n", end="", flush=True)
+        if report.outcome is not Outcome.REACHED:
+            say(f"{report.outcome}: {report.reason}")
+        if not options.json:
+            say(f"written to {options.out}: report.json, plan.json, path.png")
+        _draw(options, grid, robot, navigator)
+    return report.outcome.exit_code
+
+
+def walked(
+    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
+) -> Navigator:
+    """A walk from plan to end, showing how many steps are done."""
+    navigator = Navigator(
+        grid,
+        robot,
+        policy,
+        start=options.start,
+        goal=options.goal,
+        seed=options.seed,
+        config=NavigatorConfig(planner=options.search),
+    )
+    plan = navigator.plan()
+    with ProgressBar("walking, steps", len(plan)) as bar:
+        while navigator.outcome is None:
+            navigator.tick()
+            bar.update(min(len(navigator.placed), len(plan)))
+    return navigator
+
+
+def report_of(
+    navigator: Navigator,
+    plan: FootstepPlan,
+    options: NavigateOptions,
+    policy_path: Path,
+    wall_time_s: float,
+) -> NavigationReport:
+    """What the walk came to."""
+    assert navigator.outcome is not None
+    walked = navigator.outcome is not Outcome.NO_PATH
+    distance_m, angle_rad = navigator.goal_error if walked else (None, None)
+    return NavigationReport(
+        outcome=navigator.outcome,
+        reason=navigator.reason,
+        goal_error_m=distance_m,
+        goal_error_rad=angle_rad,
+        steps_planned=len(plan),
+        steps_taken=len(navigator.placed),
+        replans=navigator.replans,
+        foot_error_m=FootError.of([placed.error_m for placed in navigator.placed]),
+        min_clearance_m=clearance_m(navigator) if walked else None,
+        planning_time_s=navigator.planning_time_s,
+        sim_time_s=navigator.time_s,
+        wall_time_s=wall_time_s,
+        robot=plan.robot,
+        map=plan.map,
+        start=options.start,
+        goal=options.goal,
+        seed=options.seed,
+        policy=PolicyFile.of(policy_path),
+        versions=installed_versions(),
+    )
+
+
+def clearance_m(navigator: Navigator) -> float | None:
+    """The least distance of the robot from a wall over the whole walk; None without walls."""
+    return min_clearance_m(navigator.scene, np.array(navigator.qpos[::4]))
+
+
+def _require_reachable(options: NavigateOptions) -> None:
+    """A plan may end only where the robot, whose feet land a little off, still is at the goal."""
+    most = Reach(GOAL_TOLERANCE_M / 2, GOAL_TOLERANCE_RAD / 2)
+    if options.goal_tolerance.m > most.m or options.goal_tolerance.rad > most.rad:
+        asked = ",".join(f"{value:g}" for value in options.goal_tolerance)
+        raise InputError(
+            f"--goal-tolerance {asked} is more than {most.m:g},{most.rad:.2g}: a goal is reached "
+            f"within {GOAL_TOLERANCE_M:g} m and {math.degrees(GOAL_TOLERANCE_RAD):g} degrees"
+        )
+
+
+def _check_outputs(options: NavigateOptions) -> None:
+    """Find out before the walk, not after it, that a file cannot be written or drawn."""
+    make_folder(options.out, option="--out")
+    for option, path, endings in (
+        ("--html", options.html, (".html", ".htm")),
+        ("--video", options.video, (".mp4",)),
+        ("--strip", options.strip, PICTURE_ENDINGS),
+        ("--gait-strip", options.gait_strip, PICTURE_ENDINGS),
+    ):
+        if path is not None:
+            require_writable(path, option=option, endings=endings)
+
+
+def _write(
+    options: NavigateOptions, navigator: Navigator, plan: FootstepPlan, report: NavigationReport
+) -> None:
+    write_text(options.out / "report.json", report.to_json())
+    write_text(options.out / "plan.json", plan.to_json() + "\n")
+    write_path_picture(
+        options.out / "path.png",
+        navigator.grid,
+        navigator.robot.step_model,
+        plan,
+        placed_side=np.array([int(placed.side) for placed in navigator.placed], dtype=np.int8),
+        placed_world=np.array([p.placed_world for p in navigator.placed]).reshape(-1, 4),
+        body_xy_world=np.array(navigator.qpos)[:, :2],
+    )
+
+
+def _draw(
+    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, navigator: Navigator
+) -> None:
+    """Replay, film and picture strips of the walk, where they were asked for."""
+    qpos = np.array(navigator.qpos)
+    recording = Recording(
+        qpos=qpos,
+        time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S,
+        ground_m=grid.height_m(qpos[:, :2]),
+    )
+    if options.html is not None:
+        from app.viewer.replay import Story, write_replay
+
+        story = Story(
+            recording=recording,
+            plans=tuple(navigator.followed),
+            placed=tuple(navigator.placed),
+            goal=options.goal,
+        )
+        write_replay(options.html, grid, robot, story)
+    if not options.draws_robot:
+        return
+    from app.pictures.film import write_film
+    from app.pictures.footmarks import footmarks_of
+    from app.pictures.strip import write_strip
+
+    scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
+    marks = footmarks_of(robot.step_model.foot, navigator.followed, navigator.placed)
+    if options.video is not None:
+        write_film(options.video, scene.model, recording, marks=marks)
+    if options.strip is not None:
+        write_strip(
+            options.strip,
+            scene.model,
+            recording,
+            columns=4,
+            view=FOLLOW,
+            width=400,
+            height=360,
+            marks=marks,
+        )
+    if options.gait_strip is not None:
+        middle_s = recording.time_s[-1] / 2
+        end_s = middle_s + 2 * robot.gait.step_s
+        write_strip(
+            options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s, marks=marks
+        )

@@ -1,0 +1,191 @@
+"""The command `plan`: footsteps from a start to a goal, as a file, a picture and a summary."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from app.errors import ExitCode, InputError, as_bad_input
+from app.inputs import HeuristicName, MapOptions, PlannerName, RobotName, find_follower, read_grid
+from app.options import (
+    OptionalFile,
+    OptionalTime,
+    Pose,
+    PoseOption,
+    PosesOption,
+    Reach,
+    ReachOption,
+    number,
+    whole_number,
+)
+from app.output import PICTURE_ENDINGS, require_writable, write_text
+from app.progress import say
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan
+
+FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions(MapOptions):
+    """Plan footsteps from a start to a goal on a map.
+
+    The exit code is 0 when a plan is found, 2 when the input is wrong, and 3 when there is no
+    plan; then the reason says which foot or what stands in the way.
+    """
+
+    goal: PoseOption
+    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where the robot stands at first, such as -1,2,0."""
+
+    via: PosesOption = ()
+    """Poses to stand at on the way, with colons between, such as 1,0,0:2,0,1.57."""
+
+    goal_tolerance: ReachOption = Reach(0.0, 0.0)
+    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.1,0.2."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    policy: OptionalFile = None
+    """Who is to walk it, such as runs/train/jvrc1.safetensors; none: the robot's own policy."""
+
+    out: OptionalFile = None
+    """Write the plan to this file, such as plan.json."""
+
+    image: OptionalFile = None
+    """Draw the plan over the map into this file, such as plan.png."""
+
+    search_image: OptionalFile = None
+    """Draw where the search looked and its cost over time into this file, such as search.png."""
+
+    refine_image: OptionalFile = None
+    """Draw the plan before and after refinement into this file, such as refinement.png."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    heuristic: HeuristicName = PlannerOptions.heuristic
+    """What the search that proves goes by, such as path; docs/planners.md tells them apart."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = PlannerOptions.seed
+    """Seed of the planners that draw at random, such as 7."""
+
+    epsilon: Annotated[float, number(at_least=1.0)] = PlannerOptions.epsilon
+    """Weight of the first search, such as 3; later ones go down to 1, the optimum."""
+
+    time_limit: OptionalTime = None
+    """Seconds after which the best plan so far is taken, such as 0.5."""
+
+    refine: bool = True
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
+
+    prove: bool = False
+    """Go on until the plan is proven to be the cheapest; else only a while past the first plan."""
+
+    json: bool = False
+    """Print plan.json on standard output, and nothing else there."""
+
+
+def run(options: PlanOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    _check_outputs(options)
+    search = _search(options)
+    robot = find_follower(options.robot, options.policy)
+    grid = read_grid(options)
+
+    # Here and not above: the compiled search takes a second to load, bad input need not wait.
+    from planner.planner import Planner
+    from planner.through import plan_through
+
+    planner = Planner(grid, robot.step_model, search)
+    plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])
+    plan = dataclasses.replace(plan, robot=robot.name, map=str(options.map))
+    text = plan.to_json() + "\n"
+    if options.out is not None:
+        write_text(options.out, text)
+    if options.image is not None:
+        from app.pictures.plan_pictures import write_path_picture
+
+        write_path_picture(options.image, grid, robot.step_model, plan)
+    if options.search_image is not None and planner.record is not None:
+        from app.pictures.search_picture import write_search_picture
+
+        cell_m = robot.step_model.cell_m
+        write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
+    if options.refine_image is not None and plan.found:
+        from app.pictures.refinement_picture import write_refinement_picture
+
+        unrefined = dataclasses.replace(planner.options, refine=False)
+        searched = Planner(grid, robot.step_model, unrefined)
+        before = plan_through(searched, start=options.start, poses=[*options.via, options.goal])
+        write_refinement_picture(options.refine_image, grid, robot.step_model, before, plan)
+    if options.json:
+        print(text, end="")
+    elif plan.expansions or plan.found:
+        print(summary(plan))
+    if not plan.found:
+        say(f"no plan: {plan.status}: {plan.reason}")
+    return ExitCode.DONE if plan.found else ExitCode.NO_PLAN
+
+
+def _check_outputs(options: PlanOptions) -> None:
+    """Find out before the search, not after it, that a file cannot be written or drawn."""
+    if options.out is not None:
+        require_writable(options.out, option="--out")
+    for option, path, endings in (
+        ("--image", options.image, PICTURE_ENDINGS),
+        ("--search-image", options.search_image, FIGURE_ENDINGS),
+        ("--refine-image", options.refine_image, PICTURE_ENDINGS),
+    ):
+        if path is not None:
+            require_writable(path, option=option, endings=endings)
+    if options.refine_image is not None and not options.refine:
+        raise InputError("--refine-image shows what refinement does: leave out --no-refine")
+
+
+def _search(options: PlanOptions) -> PlannerOptions:
+    """What the planner is told."""
+    # A limit that the person sets takes the place of the planner's own.
+    improve = options.time_limit is None and not options.prove
+    # Each option is right by itself; some do not go together.
+    with as_bad_input(ValueError):
+        return PlannerOptions(
+            name=options.planner,
+            heuristic=options.heuristic,
+            epsilon=options.epsilon,
+            improve_expansions=PlannerOptions.improve_expansions if improve else None,
+            time_limit_s=options.time_limit,
+            refine=options.refine,
+            unknown_is_free=options.unknown_is_free,
+            record=options.search_image is not None,
+            seed=options.seed,
+            goal_reach_m=options.goal_tolerance.m,
+            goal_reach_rad=options.goal_tolerance.rad,
+        )
+
+
+def summary(plan: FootstepPlan) -> str:
+    """What a person wants to know of the plan, in two lines."""
+    effort = (
+        f"{plan.planner}: {plan.expansions} nodes expanded, first plan after "
+        f"{plan.time_to_first_s:.3f} s, {plan.time_s:.3f} s in all"
+    )
+    if not plan.found:
+        return effort
+    before_m = plan.cost_before_refinement_m
+    refined = "" if before_m is None else f" refined from {before_m:.2f} m"
+    steps = f"{len(plan)} steps, cost {plan.cost_m:.2f} m{refined}"
+    return f"{steps}, {_bound(plan.epsilon)}\n{effort}"
+
+
+def _bound(epsilon: float) -> str:
+    if epsilon == 1.0:
+        return "which is the least there is on the lattice"
+    if not math.isfinite(epsilon):
+        return "which may be far from the least"
+    return f"at most {epsilon:.2f} times the least there is on the lattice"

@@ -1,0 +1,78 @@
+"""The command `serve`: a web page with a live robot."""
+
+from __future__ import annotations
+
+import time
+
+from app.commands.serve_options import ServeOptions
+from app.errors import InputError, as_bad_input
+from app.inputs import find_follower, read_grid
+from app.progress import ProgressBar, say
+from app.viewer.nearest_pose import place_to_stand
+from app.viewer.opening import load_robot, opened
+from app.viewer.session import Session
+from controller.policy import Policy, PolicyError, load_policy
+from maps.grid import OccupancyGrid
+from planner.options import PlannerOptions
+from sim.robot import Robot
+
+# What was compiled before is loaded in less.
+_LOADED_AFTER_S = 6.0
+_COMPILES = "which is compiled after a change of its code, for half a minute"
+
+
+def run(options: ServeOptions) -> int:
+    """Carries the command out: serves until Ctrl-C."""
+    grid = read_grid(options)
+
+    def load(name: str) -> tuple[Robot, Policy]:
+        if options.policy is None or name != options.robot:
+            return load_robot(name)
+        robot = find_follower(name, options.policy)
+        with as_bad_input(PolicyError):
+            return robot, load_policy(robot, options.policy)
+
+    robot, policy = load(options.robot)
+    _check_start(options, grid, robot)
+    plan_options = PlannerOptions(
+        name=options.planner,
+        refine=options.refine,
+        unknown_is_free=options.unknown_is_free,
+        seed=options.seed,
+    )
+    with opened(
+        grid,
+        robot,
+        policy,
+        title=f"Footfall: {options.map}",
+        host=options.host,
+        port=options.port,
+        start=options.start,
+        options=plan_options,
+        seed=options.seed,
+        load=load,
+    ) as page:
+        _load_planner(page.session)
+        page.session.start()
+        say(f"open {page.server.url} in a browser; Ctrl-C ends it")
+        page.run()
+    return 0
+
+
+def _load_planner(session: Session) -> None:
+    """Returns when the first click would be answered as soon as any."""
+    began_s = time.monotonic()
+    with ProgressBar("loading the planner", None) as bar:
+        while not session.is_ready(wait_s=0.2):
+            waited_s = time.monotonic() - began_s
+            bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
+
+
+def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:
+    wanted = "--start {:g},{:g},{:g}".format(*options.start)
+    if not grid.contains(options.start[:2]):
+        raise InputError(f"{wanted} is off the map")
+    stand = place_to_stand(grid, robot.step_model, options.unknown_is_free, options.start)
+    if stand.blocked:
+        near = "none within 2 m" if stand.offer is None else "{:g},{:g},{:g}".format(*stand.offer)
+        raise InputError(f"{wanted}: {stand.blocked}; the nearest free pose is {near}")

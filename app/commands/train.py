@@ -1,0 +1,173 @@
+"""The command `train`: a policy from nothing, with progress, checkpoints and a log."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from app.commands.train_options import TrainOptions
+from app.errors import ExitCode, InputError, as_bad_input
+from app.inputs import find_robot
+from app.options import Interval
+from app.output import make_folder, write_text
+from app.progress import ProgressBar, say
+from controller.checkpoint import TrainingError, require_room
+from controller.curriculum import PRESETS as CURRICULA
+from controller.curriculum import Curriculum
+from controller.planned import PlannedSteps
+from controller.rewards import PRESETS
+from controller.runner import Trainer
+from controller.statistics import Report
+from controller.task_config import TaskConfig
+from controller.train_config import TrainConfig
+from planner.corpus.corpus import Corpus, CorpusError
+from sim.robot import Robot
+
+# A robot that may not step so high climbs no stairs.
+LEAST_RISE_M = 0.02
+OWN_CORPUS = "corpus"
+CORPUS_PLANS = 1000
+
+
+def run(options: TrainOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    robot = find_robot(options.robot)
+    curriculum = chosen_curriculum(options, robot)
+    check_folder(options.out, resume=options.resume)
+    planned = read_corpus(options, robot)
+    config = TrainConfig(
+        robot=robot.name,
+        samples=options.samples,
+        seed=options.seed,
+        corpus=planned.digest,
+        curriculum=curriculum,
+        task=TaskConfig(reward=dict(PRESETS[options.reward])),
+    )
+    trainer = Trainer(
+        robot,
+        config,
+        options.out,
+        threads=options.workers or os.cpu_count() or 1,
+        command=command_line(options),
+        planned=planned,
+    )
+    if options.resume:
+        with as_bad_input(TrainingError):
+            trainer.resume()
+        say(f"going on after segment {trainer.segment} of {config.segments}")
+    write_text(options.out / "config.json", json.dumps(asdict(config), indent=1) + "\n")
+    total = config.segments * config.samples_per_segment
+    with ProgressBar("training", total, line_every_s=0.0) as bar, as_bad_input(TrainingError):
+        trainer.run(lambda report: bar.update(report.samples, progress_line(report)))
+    say(f"the best policy is {options.out / robot.name}.safetensors")
+    return ExitCode.DONE
+
+
+def chosen_curriculum(options: TrainOptions, robot: Robot) -> Curriculum:
+    """The preset, with the highest rise that was asked for, or else the robot's.
+
+    Raises:
+        InputError: the robot cannot climb so high, or stairs are asked for and not wanted.
+    """
+    preset, highest_m = CURRICULA[options.curriculum], robot.training_model.limits.z_m[1]
+    can_climb = highest_m >= LEAST_RISE_M
+    if options.rise is None:
+        top_m = min(preset.top_rise_m, highest_m)
+        return replace(preset, top_rise_m=top_m if can_climb else 0.0)
+    if options.curriculum == "flat":
+        raise InputError(f"--rise: {options.rise:g} m of rise and --curriculum flat: drop one")
+    if not can_climb:
+        raise InputError(
+            f"--rise: {robot.title} has no stairs in its step limits (z_m in "
+            f"sim/robots/{robot.name}.py); leave --rise away to train it on flat ground"
+        )
+    if not LEAST_RISE_M <= options.rise <= highest_m:
+        raise InputError(
+            f"--rise: {options.rise:g} m is not from {LEAST_RISE_M:g} to {highest_m:g} m, what "
+            f"{robot.title}'s step limits to train on allow"
+        )
+    return replace(preset, top_rise_m=options.rise)
+
+
+def check_folder(out: Path, *, resume: bool) -> None:
+    """Makes the folder of a new run, or finds that of an old one, with room to write.
+
+    Raises:
+        InputError: there is a run where none should be, or none where one should; or no room.
+    """
+    began = (out / "checkpoint.pt").is_file()
+    if resume and not began:
+        raise InputError(f"--resume: {out} holds no checkpoint.pt to resume from")
+    if began and not resume:
+        raise InputError(f"--out: {out} holds a run already; add --resume or name another folder")
+    make_folder(out, option="--out")
+    with as_bad_input(TrainingError):
+        require_room(out)
+
+
+def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
+    """The plans to train on; a new run without a corpus makes its own first.
+
+    Its plans turn to all sides, go around obstacles and are refined: their steps are anything that
+    the limits allow, where a plain search takes them from a set that the task draws anyway.
+
+    Raises:
+        InputError: there is no corpus, or it is not for this robot.
+    """
+    folder = options.corpus or options.out / OWN_CORPUS
+    if options.corpus is None and not options.resume:
+        # Here and not above: it brings the planner along, which training does without.
+        from app.commands import dataset
+        from app.commands.dataset_options import DatasetOptions
+
+        dataset.run(
+            DatasetOptions(
+                out=folder,
+                count=CORPUS_PLANS,
+                robot=robot.name,
+                goal_x=Interval(-1.0, 3.0),
+                goal_y=Interval(-2.0, 2.0),
+                goal_yaw=Interval(-3.14, 3.14),
+                obstacles=4,
+                refine=True,
+                workers=options.workers,
+            )
+        )
+    elif options.corpus is None and not folder.is_dir():
+        raise InputError(
+            f"--corpus: the run in {options.out} has no {OWN_CORPUS} of its own: "
+            "name the one that it began with"
+        )
+    with as_bad_input(CorpusError):
+        return PlannedSteps.of(Corpus.load(folder), robot.name, robot.training_model)
+
+
+def progress_line(report: Report) -> str:
+    """One line on a finished segment."""
+    result = report.result.summary
+    stairs = ""
+    if report.stairs:
+        shares = " / ".join(f"{100 * result.success:.0f}" for result in report.stairs)
+        stairs = f" | stairs of {100 * report.stage.rise_m:.1f} cm, plain / rough: {shares} %"
+    return (
+        f"{report.samples_per_s:.0f} samples/s, "
+        f"{report.seconds_left / 60:3.0f} min left | reward {report.reward:.3f} | "
+        f"held out: {result['falls']} of {result['episodes']} fell, feet "
+        f"{100 * float(result['error_m_median']):.1f} cm median, "
+        f"{100 * float(result['error_m_p95']):.1f} cm p95"
+        + stairs
+        + (" | best" if report.best else "")
+    )
+
+
+def command_line(options: TrainOptions) -> str:
+    """The command that makes the same policy, for the policy's own record."""
+    return (
+        f"python main.py train --robot {options.robot} --samples {options.samples} "
+        f"--seed {options.seed} --reward {options.reward} --curriculum {options.curriculum}"
+        + ("" if options.rise is None else f" --rise {options.rise:g}")
+        + ("" if options.corpus is None else " --corpus CORPUS")
+        + " --out DIR"
+    )

@@ -1,0 +1,222 @@
+"""The command `trials`: many random walks on one map, and the table of how they ended."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.commands.trials_options import TrialsOptions
+from app.errors import ExitCode, InputError, as_bad_input
+from app.inputs import find_follower, read_grid
+from app.navigation.navigator import Navigator, NavigatorConfig
+from app.navigation.report import Outcome, installed_versions
+from app.output import make_folder, to_json, write_text
+from app.progress import ProgressBar
+from controller.policy import PolicyError, load_policy
+from maps.grid import OccupancyGrid
+from planner.collision import terrain_of
+from planner.endpoints import what_blocks
+from planner.options import PlannerOptions
+from planner.plan import feet_at
+from sim.clearance import min_clearance_m
+
+FORMAT = "navigation-trials/1"
+Pose = tuple[float, float, float]
+DRAWS_PER_POSE = 10_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One pair to walk; plain values, so that it can go to another process."""
+
+    number: int
+    start: Pose
+    goal: Pose
+    seed: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Course:
+    """What all trials of a run have in common."""
+
+    grid: OccupancyGrid
+    robot: str
+    policy: Path | None
+    unknown_is_free: bool
+    planner: str = PlannerOptions.name
+    refine: bool = True
+
+
+def run(options: TrialsOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    grid, robot = read_grid(options), find_follower(options.robot, options.policy)
+    with as_bad_input(PolicyError):
+        load_policy(robot, options.policy)
+    make_folder(options.out, option="--out")
+    course = Course(
+        grid=grid,
+        robot=robot.name,
+        policy=options.policy,
+        unknown_is_free=options.unknown_is_free,
+        planner=options.planner,
+        refine=options.refine,
+    )
+    trials = draw_trials(course, options.count, options.apart, options.seed)
+    results = []
+    with ProgressBar("walks", len(trials)) as bar:
+        for result in walk_all(course, trials, options.workers or os.cpu_count() or 1):
+            results.append(result)
+            bar.update(len(results), f"{sum(r['outcome'] == 'reached' for r in results)} reached")
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "map": str(options.map),
+        "robot": robot.name,
+        "seed": options.seed,
+        "versions": installed_versions(),
+        "summary": summarise(results),
+        "trials": results,
+    }
+    write_text(options.out / "trials.json", to_json(document))
+    print(to_json(document) if options.json else table(document["summary"]) + "\n", end="")
+    return ExitCode.DONE
+
+
+def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[Trial]:
+    """Pairs of free poses, uniform over the map's area and all headings.
+
+    Raises:
+        InputError: The robot can hardly stand anywhere on this map, or not so far apart.
+    """
+    rng = np.random.default_rng(seed)
+    model = find_follower(course.robot, course.policy).step_model
+    terrain = terrain_of(course.grid, course.unknown_is_free)
+    x0, y0, x1, y1 = course.grid.bounds_world()
+
+    def free_pose() -> Pose:
+        for _ in range(DRAWS_PER_POSE):
+            x, y, yaw = rng.uniform((x0, y0, -math.pi), (x1, y1, math.pi))
+            pose = round(x, 3), round(y, 3), round(yaw, 3)
+            feet = feet_at(pose, model.stance_width_m)
+            if not what_blocks(course.grid, terrain, model, feet):
+                return pose
+        raise InputError("the robot can hardly stand anywhere on this map: there is no free pose")
+
+    trials: list[Trial] = []
+    for attempt in range(1000 * count):
+        if len(trials) == count:
+            break
+        start, goal = free_pose(), free_pose()
+        if math.dist(start[:2], goal[:2]) >= apart_m:
+            trials.append(Trial(number=len(trials), start=start, goal=goal, seed=seed + attempt))
+    if len(trials) < count:
+        raise InputError(f"--apart: free poses {apart_m:g} m apart can hardly be found on this map")
+    return trials
+
+
+def walk_all(course: Course, trials: Sequence[Trial], workers: int) -> Iterator[dict[str, Any]]:
+    """The results in the order of the trials, from as many processes as there are workers."""
+    if workers == 1:
+        yield from (walk_one(course, trial) for trial in trials)
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        yield from pool.map(walk_one, [course] * len(trials), trials)
+
+
+def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
+    """Plan and walk one pair."""
+    robot = find_follower(course.robot, course.policy)
+    navigator = Navigator(
+        course.grid,
+        robot,
+        load_policy(robot, course.policy),
+        start=trial.start,
+        goal=trial.goal,
+        seed=trial.seed,
+        config=NavigatorConfig(planner=_search(course, trial)),
+    )
+    plan = navigator.plan()
+    while navigator.outcome is None:
+        navigator.tick()
+    walked = navigator.outcome is not Outcome.NO_PATH
+    distance_m, angle_rad = navigator.goal_error if walked else (None, None)
+    return {
+        "number": trial.number,
+        "start": list(trial.start),
+        "goal": list(trial.goal),
+        "outcome": str(navigator.outcome),
+        "reason": navigator.reason,
+        "goal_error_m": distance_m,
+        "goal_error_rad": angle_rad,
+        "steps_planned": len(plan),
+        "steps_taken": len(navigator.placed),
+        "replans": navigator.replans,
+        "foot_errors_m": [round(placed.error_m, 4) for placed in navigator.placed],
+        "min_clearance_m": min_clearance_m(navigator.scene, np.array(navigator.qpos[::4])),
+        "planning_time_s": navigator.planning_time_s,
+        "sim_time_s": navigator.time_s,
+    }
+
+
+def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Counts of outcomes, and percentiles over all feet placed."""
+    outcomes = Counter(result["outcome"] for result in results)
+    errors = np.concatenate([result["foot_errors_m"] for result in results] or [[]])
+    first_plans = [result["planning_time_s"] for result in results]
+    clearances = [r["min_clearance_m"] for r in results if r["min_clearance_m"] is not None]
+    goals = [r["goal_error_m"] for r in results if r["outcome"] == Outcome.REACHED]
+    return {
+        "walks": len(results),
+        **{str(outcome): outcomes.get(str(outcome), 0) for outcome in Outcome},
+        "steps_taken": len(errors),
+        "replans": sum(result["replans"] for result in results),
+        "foot_error_m": _percentiles(errors),
+        "goal_error_m": _percentiles(goals),
+        "min_clearance_m": min(clearances, default=None),
+        "planning_time_s": _percentiles(first_plans),
+        "sim_time_s": sum(result["sim_time_s"] for result in results),
+    }
+
+
+def table(summary: Mapping[str, Any]) -> str:
+    """The summary for people."""
+    walks = summary["walks"]
+    rows = [f"{'walks':<24}{walks}"]
+    for outcome in Outcome:
+        count = summary[str(outcome)]
+        rows.append(f"{outcome:<24}{count} ({100 * count / walks:.1f} %)")
+    rows.append(f"{'steps taken':<24}{summary['steps_taken']}")
+    rows.append(f"{'replans':<24}{summary['replans']}")
+    for key, title in (("foot_error_m", "feet from their steps"), ("goal_error_m", "goal missed")):
+        values = summary[key]
+        if values is not None:
+            shown = ", ".join(f"{100 * v:.1f} cm {name}" for name, v in values.items())
+            rows.append(f"{title:<24}{shown}")
+    if summary["min_clearance_m"] is not None:
+        rows.append(f"{'least clearance':<24}{100 * summary['min_clearance_m']:.1f} cm")
+    return "\n".join(rows)
+
+
+def _percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float] | None:
+    if len(values) == 0:
+        return None
+    median, p95 = np.percentile(values, [50, 95])
+    return {"median": float(median), "p95": float(p95), "max": float(np.max(values))}
+
+
+def _search(course: Course, trial: Trial) -> PlannerOptions:
+    return PlannerOptions(
+        name=course.planner,
+        refine=course.refine,
+        unknown_is_free=course.unknown_is_free,
+        seed=trial.seed,
+    )

@@ -1,0 +1,1 @@
+"""The loop of planning, walking and planning again, and its report."""

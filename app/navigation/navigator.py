@@ -1,0 +1,279 @@
+"""The loop that joins everything: plan, next two steps, policy, physics, and plan again."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from app.navigation.report import Outcome
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import Policy
+from controller.step_cursor import Track
+from controller.walker import Walker
+from maps.grid import OccupancyGrid
+from maps.terraces import terraces_of
+from planner.footing import Footing
+from planner.options import PlannerOptions
+from planner.plan import FootstepPlan, pair_pose, wrap_angle
+from planner.planner import Planner
+from planner.robot_model import Side
+from sim.ground import MapGround
+from sim.robot import Robot
+from sim.scene import Scene, Walls, build_scene
+
+PHYSICS_TIMESTEP_S = 0.001
+GOAL_TOLERANCE_M = 0.10
+GOAL_TOLERANCE_RAD = math.radians(10.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NavigatorConfig:
+    """When to plan again, and when to give up."""
+
+    replan_error_m: float = 0.06
+    replan_error_rad: float = 0.20
+    replan_error_z_m: float = 0.03
+    max_replans: int = 20
+    wait_s: float = 0.5
+    settle_s: float = 1.0
+    settle_limit_s: float = 4.0
+    still_speed_m_s: float = 0.05
+    spare_time_s: float = 10.0
+    joint_noise_rad: float = 0.01
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """One step as it was asked for and as the foot came to rest: poses x, y, z, yaw (4,).
+
+    z is the height of the ground on which the foot stands.
+    `time_s` is when the step's period ended, in simulated time since the start of the walk.
+    """
+
+    side: Side
+    asked_world: np.ndarray
+    placed_world: np.ndarray
+    time_s: float
+
+    @property
+    def error_m(self) -> float:
+        """Horizontal distance between the two."""
+        return float(np.hypot(*(self.placed_world - self.asked_world)[:2]))
+
+    @property
+    def error_rad(self) -> float:
+        """Difference of heading, not negative."""
+        return abs(float(wrap_angle(self.placed_world[3] - self.asked_world[3])))
+
+
+class PlansSteps(Protocol):
+    """What the navigator asks for plans; `planner.planner.Planner` is one."""
+
+    def plan(
+        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+    ) -> FootstepPlan:
+        """A plan from both feet (2, 4) as they stand to a pair pose, as `Planner.plan` makes it."""
+        ...
+
+
+class Navigator:
+    """One robot on its way to a goal: `plan()` once, then `tick()` until `outcome` is set.
+
+    Poses are x_m, y_m, yaw_rad in the world; time passes only in `tick()`. `followed` holds the
+    plans that were walked, each with the time at which it was taken up.
+    """
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        robot: Robot,
+        policy: Policy,
+        *,
+        start: Sequence[float],
+        goal: Sequence[float],
+        seed: int = 0,
+        config: NavigatorConfig | None = None,
+        planner: PlansSteps | None = None,
+    ):
+        self.config = config or NavigatorConfig()
+        self.grid, self.robot, self.policy = grid, robot, policy
+        self.start, self.goal = tuple(start), tuple(goal)
+        unknown_is_free = self.config.planner.unknown_is_free
+        self.scene = scene_of(grid, robot, unknown_is_free)
+        self.walker = Walker(self.scene, threads=1)
+        self._footing = Footing(grid, robot.step_model, unknown_is_free)
+        self._planner = planner or Planner(grid, robot.step_model, self.config.planner)
+        qpos = self.scene.qpos_at(np.array(self.start), self._footing.stand_m(self.start))
+        self._start_feet = self._footing.at_rest(self.scene.soles_at(qpos))
+        noise = np.random.default_rng(seed).uniform(-1, 1, len(robot.joints))
+        qpos[self.scene.joint_qpos] += self.config.joint_noise_rad * noise
+        self.walker.place(0, qpos)
+        # Until there is a plan it stands where it is: its next two steps are its own feet.
+        self.walker.follow(0, Track.of(self._start_feet, np.zeros(0, np.int8), np.zeros((0, 4))))
+        self.plans: list[FootstepPlan] = []
+        self.followed: list[tuple[float, FootstepPlan]] = []
+        self.placed: list[Placed] = []
+        self.qpos: list[np.ndarray] = [qpos.copy()]
+        self.outcome: Outcome | None = None
+        self.reason = ""
+        self._still_ticks = 0
+        self._arrived_ticks = 0
+        self._deadline_s = 0.0
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time since the start."""
+        return (len(self.qpos) - 1) * CONTROL_PERIOD_S
+
+    @property
+    def planning_time_s(self) -> float:
+        """Seconds spent on all plans so far."""
+        return sum(plan.time_s for plan in self.plans)
+
+    @property
+    def replans(self) -> int:
+        """How often a new plan was made on the way."""
+        return max(0, len(self.plans) - 1)
+
+    @property
+    def goal_error(self) -> tuple[float, float]:
+        """Distance in m and heading difference in rad of the feet's pair pose from the goal."""
+        pose = pair_pose(self._feet())
+        distance = math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1])
+        return distance, abs(float(wrap_angle(pose[2] - self.goal[2])))
+
+    def plan(self) -> FootstepPlan:
+        """Plan from the standing start; without a plan the outcome is NO_PATH."""
+        plan = self._plan_from(self._start_feet, None)
+        if plan.found:
+            wait_ticks = round(self.config.wait_s / CONTROL_PERIOD_S)
+            self._follow(plan, wait_ticks=wait_ticks, walking=False)
+        else:
+            self._end(Outcome.NO_PATH, plan.reason)
+        return plan
+
+    def tick(self) -> None:
+        """One control step: act, look for the end of the walk, and plan again where needed."""
+        cursor = self.walker.cursor
+        side = Side(int(cursor.side[0]))
+        asked = cursor.foot_targets[0, side].copy()
+        stepped = self.walker.act(self.policy.act(self.walker.observe()))[0]
+        self.qpos.append(self.walker.sim.qpos[0].copy())
+        self._look_for_failure()
+        if self.outcome is not None:
+            return
+        if stepped:
+            placed_world = self._feet()[side]
+            self._landed(
+                Placed(side=side, asked_world=asked, placed_world=placed_world, time_s=self.time_s)
+            )
+        if cursor.arrived[0]:
+            self._settle()
+        elif self.time_s > self._deadline_s:
+            self._end(Outcome.TIMED_OUT, f"still walking after {self.time_s:.0f} s")
+
+    def _landed(self, placed: Placed) -> None:
+        """Note where a foot came to rest; plan again when it is too far from its step."""
+        self.placed.append(placed)
+        config = self.config
+        off_z_m = abs(float(placed.placed_world[2] - placed.asked_world[2]))
+        near = placed.error_m <= config.replan_error_m and off_z_m <= config.replan_error_z_m
+        if (near and placed.error_rad <= config.replan_error_rad) or self._out_of_replans():
+            return
+        if self.walker.cursor.arrived[0]:
+            return  # settling measures the goal itself
+        plan = self._plan_from(self._feet(), placed.side.other)
+        if plan.found:
+            self._follow(plan, wait_ticks=0, walking=True)
+
+    def _settle(self) -> None:
+        """Wait until the robot stands still, then say whether this is the goal or plan again."""
+        config = self.config
+        still = np.linalg.norm(self.walker.sim.qvel[0, :3]) < config.still_speed_m_s
+        self._still_ticks = self._still_ticks + 1 if still else 0
+        self._arrived_ticks += 1
+        settled = self._still_ticks * CONTROL_PERIOD_S >= config.settle_s
+        if not settled and self._arrived_ticks * CONTROL_PERIOD_S < config.settle_limit_s:
+            return
+        distance_m, angle_rad = self.goal_error
+        near = distance_m <= GOAL_TOLERANCE_M and angle_rad <= GOAL_TOLERANCE_RAD
+        if settled and near:
+            self._end(Outcome.REACHED, "")
+            return
+        where = f"{distance_m:.2f} m and {math.degrees(angle_rad):.0f} degrees from the goal"
+        if self._out_of_replans():
+            self._end(Outcome.TIMED_OUT, f"{where} after {self.replans} replans")
+            return
+        plan = self._plan_from(self._feet(), None)
+        if plan.found and len(plan):
+            self._follow(plan, wait_ticks=0, walking=False)
+        else:
+            self._end(Outcome.TIMED_OUT, f"{where}, and no plan from there: {plan.reason}")
+
+    def _look_for_failure(self) -> None:
+        sensors, sim = self.scene.sensors, self.walker.sim
+        if sim.failed[0]:
+            self._end(Outcome.FELL, "the simulation left the finite numbers")
+            return
+        if sim.sensors[0, :, sensors.wall_contacts[0]].max() > 0:
+            x, y = sim.qpos[0, :2]
+            self._end(Outcome.COLLIDED, f"the robot touched a wall near {x:.2f}, {y:.2f}")
+            return
+        latest = sim.sensors[0, -1]
+        lower_sole_z = latest[sensors.sole_pos_world[:, 2]].min()
+        if latest[sensors.pelvis_pos_world[2]] - lower_sole_z < self.robot.fallen_height_m:
+            x, y = sim.qpos[0, :2]
+            self._end(Outcome.FELL, f"the robot fell near {x:.2f}, {y:.2f}")
+
+    def _plan_from(self, feet_world: np.ndarray, first_side: Side | None) -> FootstepPlan:
+        plan = self._planner.plan(
+            start_feet_world=feet_world, first_side=first_side, goal=self.goal
+        )
+        self.plans.append(plan)
+        return plan
+
+    def _follow(self, plan: FootstepPlan, *, wait_ticks: int, walking: bool) -> None:
+        track = Track.of(plan.start_feet_world, plan.side.astype(np.int64), plan.pose_world)
+        self.walker.follow(0, track, wait_ticks=wait_ticks, walking=walking)
+        self.followed.append((self.time_s, plan))
+        self._still_ticks = self._arrived_ticks = 0
+        walk_s = len(plan) * self.robot.gait.step_s
+        config = self.config
+        self._deadline_s = self.time_s + config.wait_s + walk_s + config.spare_time_s
+
+    def _feet(self) -> np.ndarray:
+        """Both soles (2, 4) as they are, at the height of the ground that they rest on."""
+        return self._footing.at_rest(self.walker.soles_world()[0])
+
+    def _out_of_replans(self) -> bool:
+        return self.replans >= self.config.max_replans
+
+    def _end(self, outcome: Outcome, reason: str) -> None:
+        self.outcome, self.reason = outcome, reason
+
+
+def scene_of(
+    grid: OccupancyGrid, robot: Robot, unknown_is_free: bool, *, visuals: bool = False
+) -> Scene:
+    """The robot among the map's obstacles, at the physics rate of navigation."""
+    terraces = terraces_of(grid, grid.blocked(unknown_is_free))
+    lowest_m = terraces.lowest_m
+    return build_scene(
+        robot,
+        timestep_s=PHYSICS_TIMESTEP_S,
+        walls=Walls(
+            boxes_m=terraces.walls[:, :4],
+            feet_m=terraces.walls[:, 4],
+            lowest_m=lowest_m,
+            origin=grid.origin,
+        ),
+        ground=None
+        if grid.elevation_m is None
+        else MapGround(boxes_m=terraces.ground, lowest_m=lowest_m, origin=grid.origin),
+        visuals=visuals,
+    )

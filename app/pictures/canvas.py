@@ -1,0 +1,225 @@
+"""Pictures of a plan over its map, drawn with OpenCV."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from app.pictures.relief import height_range, shade_floor
+from maps.grid import Cell, OccupancyGrid
+from planner.plan import FootstepPlan, feet_at, pair_pose
+from planner.robot_model import Side, StepModel
+
+Image = NDArray[np.uint8]
+FloatArray = NDArray[np.float64]
+Colour = tuple[int, int, int]
+
+# Blue, green, red. The two feet differ in lightness too, for those who see colours otherwise.
+LEFT: Colour = (200, 110, 30)
+RIGHT: Colour = (40, 120, 240)
+START: Colour = (90, 150, 50)
+GOAL: Colour = (60, 40, 200)
+PATH: Colour = (150, 130, 120)
+_FLOOR: Colour = (250, 250, 250)
+_WALL: Colour = (70, 65, 62)
+_UNKNOWN: Colour = (205, 205, 205)
+_GRID: Colour = (232, 232, 232)
+_INK: Colour = (90, 90, 90)
+_SUB = 4  # bits of a pixel's fraction in OpenCV's drawing calls
+_LONGEST_PX, _MOST_PX_PER_M = 1600, 240
+
+
+class Canvas:
+    """A map drawn to scale, and drawing on it in metres of the world.
+
+    The picture shows the grid with its rows level; if `around_world` points (n, 2) are given, only
+    their surroundings of margin_m.
+    """
+
+    def __init__(
+        self,
+        grid: OccupancyGrid,
+        *,
+        around_world: ArrayLike | None = None,
+        margin_m: float = 1.0,
+    ) -> None:
+        self.grid = grid
+        size = np.array(grid.size_m)
+        low, high = np.zeros(2), size
+        if around_world is not None:
+            points = grid.world_to_grid(around_world)
+            low = np.clip(points.min(axis=0) - margin_m, 0, size)
+            high = np.clip(points.max(axis=0) + margin_m, 0, size)
+        # Whole cells, so that the picture's edge is a cell's edge.
+        first = np.floor(low / grid.resolution_m).astype(int)
+        last = np.maximum(np.ceil(high / grid.resolution_m).astype(int), first + 1)
+        last = np.minimum(last, np.array(grid.shape[::-1]))
+        self._low_m, extent = first * grid.resolution_m, (last - first) * grid.resolution_m
+        self.px_per_m = min(_LONGEST_PX / extent.max(), _MOST_PX_PER_M)
+        width, height = (max(1, round(v * self.px_per_m)) for v in extent)
+        cells = grid.cells[first[1] : last[1], first[0] : last[0]][::-1]
+        colours = np.array([_FLOOR, _WALL, _UNKNOWN], np.uint8)
+        shrink = width < cells.shape[1]
+        how = cv2.INTER_AREA if shrink else cv2.INTER_NEAREST
+        self.image: Image = np.asarray(
+            cv2.resize(colours[cells], (width, height), interpolation=how), np.uint8
+        )
+        if grid.elevation_m is not None:
+            heights = grid.elevation_m[first[1] : last[1], first[0] : last[0]][::-1]
+            shade_floor(self.image, heights, cells == Cell.FREE, height_range(grid))
+        self._lines_every_metre(cells, extent)
+
+    def _lines_every_metre(self, cells: NDArray[np.uint8], extent: FloatArray) -> None:
+        height, width = self.image.shape[:2]
+        floor = (
+            cv2.resize((cells == Cell.FREE).astype(np.uint8), (width, height), None, 0, 0, 0) > 0
+        )
+        every_m = 1.0 if extent.max() <= 25 else 5.0
+        lines = np.zeros((height, width), bool)
+        for axis, length in enumerate((width, height)):
+            first = math.ceil(self._low_m[axis] / every_m) * every_m
+            at = np.arange(first, self._low_m[axis] + extent[axis], every_m) - self._low_m[axis]
+            px = np.minimum(np.round(at * self.px_per_m).astype(int), length - 1)
+            if axis == 0:
+                lines[:, px] = True
+            else:
+                lines[height - 1 - px, :] = True
+        self.image[lines & floor] = _GRID
+        self._text(f"grid {every_m:g} m", (8, height - 8), 0.42, _INK)
+
+    def pixels(self, xy_world: ArrayLike) -> NDArray[np.int32]:
+        """Pixels (..., 2) of points (..., 2), with _SUB bits of fraction."""
+        away = (self.grid.world_to_grid(xy_world) - self._low_m) * self.px_per_m
+        away[..., 1] = self.image.shape[0] - away[..., 1]
+        result: NDArray[np.int32] = np.round((away - 0.5) * (1 << _SUB)).astype(np.int32)
+        return result
+
+    def line(self, xy_world: ArrayLike, colour: Colour, width_m: float) -> None:
+        """An open line through points (n, 2)."""
+        thickness = max(1, round(width_m * self.px_per_m))
+        points = [self.pixels(xy_world)]
+        cv2.polylines(self.image, points, False, colour, thickness, cv2.LINE_AA, _SUB)
+
+    def polygon(
+        self, xy_world: ArrayLike, colour: Colour, *, opacity: float = 0.0, width_m: float = 0.012
+    ) -> None:
+        """A closed outline through corners (n, 2), filled if opacity is above 0."""
+        points = [self.pixels(xy_world)]
+        if opacity > 0:
+            filled = self.image.copy()
+            cv2.fillPoly(filled, points, colour, cv2.LINE_AA, _SUB)
+            cv2.addWeighted(filled, opacity, self.image, 1 - opacity, 0, self.image)
+        thickness = max(1, round(width_m * self.px_per_m))
+        cv2.polylines(self.image, points, True, colour, thickness, cv2.LINE_AA, _SUB)
+
+    def foot(self, pose_world: ArrayLike, side: Side, model: StepModel, opacity: float) -> None:
+        """A sole with a mark at its toe. pose_world: x_m, y_m, z_m, yaw_rad."""
+        x_m, y_m, _, yaw_rad = (float(v) for v in np.asarray(pose_world, dtype=float))
+        half_l, half_w = model.foot.length_m / 2, model.foot.width_m / 2
+        corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (half_l, half_w)
+        colour = LEFT if side == Side.LEFT else RIGHT
+        self.polygon(_placed(corners, x_m, y_m, yaw_rad), colour, opacity=opacity)
+        toe = np.array([[0.85, 0.0], [0.3, 0.6], [0.3, -0.6]]) * (half_l, half_w)
+        cv2.fillPoly(
+            self.image,
+            [self.pixels(_placed(toe, x_m, y_m, yaw_rad))],
+            colour,
+            cv2.LINE_AA,
+            _SUB,
+        )
+
+    def arrow(self, pose_world: ArrayLike, colour: Colour, label: str) -> None:
+        """A pose x_m, y_m, yaw_rad as an arrow from its point along its heading."""
+        x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose_world, dtype=float))
+        # Never smaller than can be seen, whatever the scale.
+        unit = max(1.0, 60.0 / self.px_per_m)
+        shaft = np.array([[0.0, 0.0], [0.34, 0.0]]) * unit
+        tip = np.array([[0.5, 0.0], [0.3, 0.1], [0.3, -0.1]]) * unit
+        for colour_now, width_m in (((255, 255, 255), 0.075), (colour, 0.045)):
+            self.line(_placed(shaft, x_m, y_m, yaw_rad), colour_now, width_m * unit)
+        cv2.fillPoly(
+            self.image,
+            [self.pixels(_placed(tip, x_m, y_m, yaw_rad))],
+            colour,
+            cv2.LINE_AA,
+            _SUB,
+        )
+        centre = self.pixels((x_m, y_m))
+        radius = round(0.07 * unit * self.px_per_m * (1 << _SUB))
+        cv2.circle(self.image, tuple(centre), radius, colour, -1, cv2.LINE_AA, _SUB)
+        behind = _placed(np.array([[-0.42, 0.0]]) * unit, x_m, y_m, yaw_rad)
+        self._label(label, self.pixels(behind)[0] >> _SUB, colour)
+
+    def _label(self, text: str, at_px: NDArray[np.int32], colour: Colour) -> None:
+        height, width = self.image.shape[:2]
+        (text_w, text_h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
+        x = int(np.clip(at_px[0] - text_w // 2, 2, max(2, width - text_w - 2)))
+        y = int(np.clip(at_px[1] + text_h // 2, text_h + 2, height - 4))
+        self._text(text, (x, y), 0.55, colour)
+
+    def _text(self, text: str, at_px: tuple[int, int], size: float, colour: Colour) -> None:
+        """Text with a white edge, so that it can be read on walls as well."""
+        font = cv2.FONT_HERSHEY_SIMPLEX
+        for colour_now, thickness in (((255, 255, 255), 4), (colour, 1)):
+            cv2.putText(self.image, text, at_px, font, size, colour_now, thickness, cv2.LINE_AA)
+
+
+def _placed(points: FloatArray, x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
+    """Points (n, 2) of a body frame in the world."""
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    return points @ np.array([[cos, sin], [-sin, cos]]) + (x_m, y_m)
+
+
+def body_path(plan: FootstepPlan) -> FloatArray:
+    """Pair poses (N + 1, 3) from the start to the end of a plan."""
+    feet = np.array(plan.start_feet_world)
+    poses = [pair_pose(feet)]
+    for side, pose in zip(plan.side, plan.pose_world, strict=True):
+        feet[side] = pose
+        poses.append(pair_pose(feet))
+    return np.array(poses)
+
+
+def draw_plan(
+    plan: FootstepPlan,
+    grid: OccupancyGrid,
+    model: StepModel,
+    *,
+    shown_world: ArrayLike | None = None,
+) -> Image:
+    """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
+
+    Large maps are cropped to the surroundings of the plan, and any map to those of points
+    shown_world (n, 2) where they are given. A plan that was not found shows start and goal only.
+    """
+    points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
+    margin_m, crop = 1.5, max(grid.size_m) > 12.0
+    if shown_world is not None:
+        points, margin_m, crop = np.asarray(shown_world, dtype=float), 0.8, True
+    on_map = points[grid.contains(points)]
+    canvas = Canvas(grid, around_world=on_map if crop and len(on_map) else None, margin_m=margin_m)
+    if plan.found:
+        canvas.line(body_path(plan)[:, :2], PATH, 0.02)
+    for side in Side:
+        canvas.foot(plan.start_feet_world[side], side, model, 0.12)
+    for side, pose in zip(plan.side, plan.pose_world, strict=True):
+        canvas.foot(pose, Side(int(side)), model, 0.35)
+    if not plan.found:
+        for side, pose in zip(Side, feet_at(plan.goal, model.stance_width_m), strict=True):
+            canvas.foot(pose, side, model, 0.12)
+    canvas.arrow(plan.start, START, "start")
+    canvas.arrow(plan.goal, GOAL, "goal")
+    return canvas.image
+
+
+def write_picture(image: Image, path: str) -> None:
+    """Writes a picture; raises OSError with one line where the file cannot be written."""
+    try:
+        written = cv2.imwrite(path, image)
+    except cv2.error:
+        written = False
+    if not written:
+        raise OSError(f"picture {path}: cannot be written (PNG or JPEG in an existing folder)")

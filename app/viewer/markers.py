@@ -1,0 +1,160 @@
+"""Footprints and the path of the body in a viser scene."""
+
+from __future__ import annotations
+
+import numpy as np
+import viser
+
+from app.pictures.canvas import LEFT, RIGHT
+from app.viewer.map_scene import FLOOR_RGB
+from maps.grid import OccupancyGrid
+from planner.robot_model import FootShape, Side
+
+Rgb = tuple[int, int, int]
+# The pictures of plans have the same colours, written blue, green, red.
+SIDE_RGB: dict[Side, Rgb] = {Side.LEFT: LEFT[::-1], Side.RIGHT: RIGHT[::-1]}
+PATH_RGB: Rgb = (112, 60, 150)
+PATH_WIDTH_M = 0.025
+# Above one another, so that no two fight for the same pixels.
+_PLANNED_Z_M, _PATH_Z_M, _PLACED_Z_M, _NEXT_Z_M = 0.005, 0.008, 0.011, 0.014
+_EDGE_M = 0.016
+_OUT_OF_SIGHT_M = -1.0
+# Rectangles that a mesh has room for at first.
+_ROOM = 128
+
+
+class Prints:
+    """Footprints on the floor: planned (pale), the next two (full), placed (their edges)."""
+
+    def __init__(self, scene: viser.SceneApi, grid: OccupancyGrid, foot: FootShape) -> None:
+        self._scene, self._grid = scene, grid
+        self._sheets: dict[str, _Sheet] = {}
+        self._plate = _rectangle(foot.length_m, foot.width_m)
+        self._edge = _edge(foot)
+
+    def clear(self) -> None:
+        """Takes all footprints away, and the path."""
+        nobody, nowhere = np.zeros(0, np.int8), np.zeros((0, 4))
+        self.plan(nobody, nowhere)
+        self.next_two(nobody, nowhere)
+        self.placed(nobody, nowhere)
+        self.path(np.zeros((0, 2)))
+
+    def plan(self, side: np.ndarray, pose_world: np.ndarray) -> None:
+        """Shows the steps that lie ahead: side (N,), pose_world (N, 4) x, y, z, yaw."""
+        self._show("planned", self._plate, side, pose_world, _PLANNED_Z_M, paleness=0.35)
+
+    def next_two(self, side: np.ndarray, pose_world: np.ndarray) -> None:
+        """Shows the steps that the policy looks at; arrays as in `plan`."""
+        self._show("next", self._plate, side, pose_world, _NEXT_Z_M)
+
+    def placed(self, side: np.ndarray, pose_world: np.ndarray) -> None:
+        """Shows where feet came to rest; arrays as in `plan`."""
+        self._show("placed", self._edge, side, pose_world, _PLACED_Z_M)
+
+    def path(self, xy_world: np.ndarray) -> None:
+        """Shows where the body was: points (T, 2)."""
+        along = np.diff(xy_world, axis=0)
+        length = np.linalg.norm(along, axis=1)
+        moved = length > 1e-4
+        across = np.column_stack([-along[:, 1], along[:, 0]])[moved] / length[moved, None]
+        across *= PATH_WIDTH_M / 2
+        begin, end = xy_world[:-1][moved], xy_world[1:][moved]
+        corners = np.stack([begin + across, begin - across, end - across, end + across], axis=1)
+        # Each piece lies on the higher floor of its ends, so that no step hides it.
+        ground_m = np.maximum(self._grid.height_m(begin), self._grid.height_m(end))
+        self._sheet("/path", _PATH_Z_M, PATH_RGB).show(corners, ground_m)
+
+    def _show(
+        self,
+        kind: str,
+        shape: np.ndarray,
+        side: np.ndarray,
+        pose_world: np.ndarray,
+        height_m: float,
+        paleness: float = 0.0,
+    ) -> None:
+        """Draws the shape (R, 4, 2), rectangles in the frame of a foot, at each pose."""
+        for foot in Side:
+            poses = pose_world[np.asarray(side) == foot]
+            cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
+            turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], axis=1)
+            corners = np.einsum("rki,nij->nrkj", shape, turn) + poses[:, None, None, :2]
+            name = f"/steps/{kind}_{foot.name.lower()}"
+            ground_m = np.repeat(poses[:, 2], len(shape))
+            self._sheet(name, height_m, _mixed(SIDE_RGB[foot], paleness)).show(corners, ground_m)
+
+    def _sheet(self, name: str, height_m: float, rgb: Rgb) -> _Sheet:
+        if name not in self._sheets:
+            self._sheets[name] = _Sheet(self._scene, name, height_m, rgb)
+        return self._sheets[name]
+
+
+class _Sheet:
+    """Rectangles on the floor as one mesh with room for more.
+
+    Only its vertices are ever sent anew, those that are not needed all at one point: a browser
+    that gets a node of the same name again may show the old one for long, or none.
+    """
+
+    def __init__(self, scene: viser.SceneApi, name: str, height_m: float, rgb: Rgb) -> None:
+        self._scene, self._name, self._height_m, self._rgb = scene, name, height_m, rgb
+        self._room = 0
+        self._mesh: viser.MeshHandle | None = None
+
+    def show(self, corners: np.ndarray, ground_m: np.ndarray) -> None:
+        """Shows rectangles with corners (..., 4, 2), counter-clockwise in the world.
+
+        ground_m (n,): the height of the floor on which each of them lies.
+        """
+        xy = corners.reshape(-1, 2)
+        needed = len(xy) // 4
+        if self._mesh is None or needed > self._room:
+            self._mesh = self._with_room_for(needed)
+        vertices = np.zeros((4 * self._room, 3), np.float32)
+        vertices[:, 2] = _OUT_OF_SIGHT_M
+        vertices[: len(xy), :2] = xy
+        vertices[: len(xy), 2] = np.repeat(ground_m, 4) + self._height_m
+        self._mesh.vertices = vertices
+
+    def _with_room_for(self, count: int) -> viser.MeshHandle:
+        self._room = max(_ROOM, 2 * count)
+        first = 4 * np.arange(self._room)[:, None, None]
+        faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+        return self._scene.add_mesh_simple(
+            self._name,
+            np.zeros((4 * self._room, 3), np.float32),
+            faces.astype(np.uint32),
+            color=self._rgb,
+            side="double",
+            cast_shadow=False,
+        )
+
+
+def _mixed(rgb: Rgb, paleness: float) -> Rgb:
+    red, green, blue = (
+        round((1 - paleness) * mine + paleness * floor)
+        for mine, floor in zip(rgb, FLOOR_RGB, strict=True)
+    )
+    return red, green, blue
+
+
+def _rectangle(
+    length_m: float, width_m: float, centre_m: tuple[float, float] = (0.0, 0.0)
+) -> np.ndarray:
+    """Corners (1, 4, 2), counter-clockwise."""
+    x, y = length_m / 2, width_m / 2
+    return np.array([[[x, y], [-x, y], [-x, -y], [x, -y]]]) + np.array(centre_m)
+
+
+def _edge(foot: FootShape) -> np.ndarray:
+    """The edge of a sole as four bars (4, 4, 2)."""
+    x, y = foot.length_m / 2 - _EDGE_M / 2, foot.width_m / 2 - _EDGE_M / 2
+    return np.concatenate(
+        [
+            _rectangle(foot.length_m, _EDGE_M, (0, y)),
+            _rectangle(foot.length_m, _EDGE_M, (0, -y)),
+            _rectangle(_EDGE_M, foot.width_m, (x, 0)),
+            _rectangle(_EDGE_M, foot.width_m, (-x, 0)),
+        ]
+    )

@@ -1,0 +1,218 @@
+"""The page: scene, controls and pointer brought together around a session."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from app.viewer.cameras import Cameras
+from app.viewer.figure import Figure
+from app.viewer.map_scene import add_floor
+from app.viewer.markers import Prints
+from app.viewer.obstacle_editor import Toybox
+from app.viewer.obstacles import Obstacle
+from app.viewer.panel import Actions, Panel
+from app.viewer.pointer import FloorPointer, Pointed, Tool, facing
+from app.viewer.robot_scene import look_of
+from app.viewer.server import PageServer
+from app.viewer.session import Session
+from app.viewer.signs import Signs
+from app.viewer.snapshot import Notice, Snapshot
+from app.viewer.surface import FLOOR, ROBOT, WALL, Met, surface_of
+from controller.policy import Policy
+from sim.robot import Robot
+
+FRAMES_PER_S = 30.0
+# Nobody watches: just so often that whoever comes sees what is.
+_UNSEEN_FRAMES_PER_S = 4.0
+TEXT_EVERY_S = 0.25
+PLOT_EVERY_S = 0.5
+_NOTICE_FOR_S = 6.0
+_IN_THE_WAY = {WALL: "a wall", 0: "a box"}
+
+
+class Page:
+    """Shows a session to whoever opens the page, and passes on what they wish.
+
+    Words are shown anew every `text_every_s`, plots every `plot_every_s`, all else at every frame.
+    """
+
+    text_every_s = TEXT_EVERY_S
+    plot_every_s = PLOT_EVERY_S
+
+    def __init__(
+        self,
+        server: PageServer,
+        session: Session,
+        *,
+        robots: tuple[str, ...],
+        load: Callable[[str], tuple[Robot, Policy]],
+    ) -> None:
+        self.server, self.session, self._load = server, session, load
+        self._tool = Tool.GOAL
+        self._notice: tuple[float, Notice] | None = None
+        self._shown: Snapshot | None = None
+        self._text_s = self._plot_s = 0.0
+        self._drawing = threading.Lock()
+        scene, grid, robot = server.scene, session.grid, session.robot
+        self._pointer = FloorPointer(
+            self._pointed,
+            surface_of(grid),
+            meets_robot=self._meets_robot,
+            on_drag=self._dragged,
+        )
+        self._signs = Signs(scene, self._pointer.height_m)
+        self.toybox = Toybox(
+            scene,
+            grid,
+            on_change=self._boxes_changed,
+            is_refused=self._why_no_box,
+            on_refused=self._say,
+            on_click=self._pointer.clicked,
+            on_drag=self._dragged,
+        )
+        self._pointer.watch(add_floor(scene, grid))
+        self._prints = Prints(scene, grid, robot.step_model.foot)
+        self._figure = Figure(scene, look_of(robot))
+        actions = Actions(
+            go=session.go_to,
+            put=session.reset,
+            stop=session.stop,
+            reset=session.reset,
+            use_tool=self._use,
+            set_speed=lambda factor: setattr(session.pace, "factor", factor),
+            set_options=session.set_options,
+            set_robot=self._set_robot,
+            toggle_follow=lambda client_id: self._cameras.toggle(client_id),
+            clear_boxes=self.toybox.clear,
+            remove_box=self.toybox.remove_last,
+        )
+        self._panel = Panel(
+            server.gui, actions, robots=robots, robot=robot.name, options=session.options
+        )
+        self._cameras = Cameras(server, grid, order=self._panel.switch_order)
+        # Whoever goes in the middle of a drag points at nothing any more.
+        server.on_client_disconnect(lambda _client: self._signs.point(None))
+
+    @property
+    def visitors(self) -> int:
+        """How many have the page open."""
+        return self._cameras.count
+
+    def wait_for_visitor(self) -> None:
+        """Shows the scene as it is until somebody has opened the page."""
+        self.run(is_over=lambda: bool(self.server.get_clients()))
+
+    def run(self, is_over: Callable[[], bool] = lambda: False) -> None:
+        """Shows what happens until `is_over`, or for ever; a frame that fails ends the page."""
+        while not is_over():
+            began_s = time.monotonic()
+            self.show(self.session.snapshot)
+            rate = FRAMES_PER_S if self.server.get_clients() else _UNSEEN_FRAMES_PER_S
+            time.sleep(max(0.0, 1 / rate - (time.monotonic() - began_s)))
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Draws one moment; what has not changed since the last is left alone."""
+        with self._drawing, self.server.atomic():
+            if len(snapshot.qpos) != self._figure.length:
+                return  # The robot has just been exchanged for another one.
+            self._figure.pose(snapshot.qpos)
+            self._signs.show(snapshot)
+            self._show_steps(snapshot)
+            self._shown = snapshot
+        place = snapshot.qpos[:2]
+        self._cameras.show(np.array([*place, float(self.session.grid.height_m(place))]))
+        now_s = time.monotonic()
+        if now_s - self._text_s >= self.text_every_s:
+            self._text_s = now_s
+            self._panel.show(snapshot, self._own_notice(now_s))
+        if now_s - self._plot_s >= self.plot_every_s:
+            self._plot_s = now_s
+            self._panel.plots.show_forces(self.session.record.forces())
+
+    def _show_steps(self, new: Snapshot) -> None:
+        old, prints = self._shown, self._prints
+        if old is None or new.plan is not old.plan or new.done != old.done:
+            side = np.zeros(0, np.int8) if new.plan is None else new.plan.side
+            pose = np.zeros((0, 4)) if new.plan is None else new.plan.pose_world
+            ahead = new.done + 2
+            prints.plan(side[ahead:], pose[ahead:])
+            prints.next_two(side[new.done : ahead], pose[new.done : ahead])
+        if old is None or new.placed_side is not old.placed_side:
+            prints.placed(new.placed_side, new.placed_world)
+            prints.path(new.path_world)
+            self._panel.plots.show_errors(new.placed_side, new.foot_error_m)
+
+    def _own_notice(self, now_s: float) -> Notice | None:
+        if self._notice is not None and now_s - self._notice[0] > _NOTICE_FOR_S:
+            self._notice = None
+        return None if self._notice is None else self._notice[1]
+
+    def _say(self, text: str) -> None:
+        self._notice = time.monotonic(), Notice(text=text)
+
+    def _use(self, tool: Tool) -> None:
+        self._tool = tool
+        self._pointer.use(tool)
+        self.toybox.use(can_move=tool is Tool.BOX)
+
+    def _pointed(self, pointed: Pointed, on: int, is_final: bool) -> None:
+        if self._tool is Tool.BOX:
+            self._box_pointed(pointed, on)
+            return
+        qpos = self.session.snapshot.qpos
+        w, x, y, z = qpos[3:7]
+        yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        pose = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
+        self._signs.point(None if is_final else pose)
+        if is_final and self._tool is Tool.ROBOT:
+            self.session.reset(pose)
+        elif is_final:
+            self.session.go_to(pose, in_the_way=_IN_THE_WAY.get(min(on, 0), ""))
+
+    def _box_pointed(self, pointed: Pointed, on: int) -> None:
+        if on == ROBOT:
+            self._say("that is the robot: boxes stand on the floor")
+        elif on == WALL:
+            self._say("a wall stands there: boxes stand on the floor")
+        elif on == FLOOR:
+            self.toybox.add(pointed[:2], self._panel.box_size_m)
+        else:
+            self.toybox.remove(on)
+
+    def _meets_robot(self, origin: ArrayLike, direction: ArrayLike) -> tuple[float, Met]:
+        x_m, y_m = (float(value) for value in self.session.snapshot.qpos[:2])
+        ground_m = float(self.session.grid.height_m((x_m, y_m)))
+        where = Met(x_m=x_m, y_m=y_m, z_m=ground_m, on=ROBOT)
+        return self._figure.met_after_m(origin, direction), where
+
+    def _boxes_changed(self, obstacles: Sequence[Obstacle]) -> None:
+        self._pointer.see_boxes(obstacles)
+        self.session.set_obstacles(obstacles)
+
+    def _dragged(self, client_id: int) -> None:
+        self._cameras.hold(client_id)
+
+    def _why_no_box(self, obstacle: Obstacle) -> str:
+        return "no box can stand on the robot" if self.session.is_on_robot(obstacle) else ""
+
+    def _set_robot(self, name: str) -> None:
+        """Exchanges the robot; one without a policy is refused."""
+        try:
+            robot, policy = self._load(name)
+            look = look_of(robot)
+        except Exception as error:
+            # Whatever is wrong with a robot is told on the page, and the one that is there stays.
+            self._say(f"{name} cannot be chosen: {error}")
+            return
+        with self._drawing:
+            self._figure.remove()
+            self._prints.clear()
+            self.session.set_robot(robot, policy)
+            self._prints = Prints(self.server.scene, self.session.grid, robot.step_model.foot)
+            self._figure = Figure(self.server.scene, look)
+            self._shown = None

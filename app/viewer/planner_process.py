@@ -1,0 +1,196 @@
+"""A planner in a process of its own: while it searches, robot and page go on."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from app.viewer.answering import answer_questions
+from app.viewer.questions import Answer, Query, Ready, World
+from planner.plan import FootstepPlan, PlanStatus, pair_pose
+from planner.robot_model import Side
+
+# How long the robot may wait for a plan between two steps; its physics catch up afterwards.
+PATIENCE_S = 0.2
+# Longer than any planner takes that is still alive.
+_ENDLESS_S = 600.0
+# A planner that has died so often before it was ready will not do better.
+_MOST_STARTS = 3
+
+
+class PlanningProcess:
+    """Asks a planner in another process; used from one thread.
+
+    `ask` and `answers` never wait. `plan` waits for at most `patience_s`, and says that time ran
+    out when there is nothing by then.
+    """
+
+    def __init__(self, world: World, *, patience_s: float = PATIENCE_S) -> None:
+        self.patience_s = patience_s
+        self._world = world
+        self._number = 0
+        self._open: Query | None = None
+        self._kept: list[Answer] = []
+        self._is_ready = False
+        self._starts = 0
+        self._start()
+
+    def _start(self) -> None:
+        self._starts += 1
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(
+            target=answer_questions, args=(theirs,), daemon=True, name="planner"
+        )
+        self._process.start()
+        theirs.close()
+        self._send(self._world)
+
+    @property
+    def number(self) -> int:
+        """Of the last question, whoever asked it."""
+        return self._number
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the process that plans."""
+        return self._process.pid
+
+    def is_ready(self, wait_s: float = 0.0) -> bool:
+        """Whether the first question would be answered at once; waits for that for so long."""
+        if not self._is_ready:
+            self._receive(wait_s)
+        return self._is_ready
+
+    def set_world(self, world: World) -> None:
+        """Plans from now on over another map, or for another robot."""
+        self._world = world
+        self._kept.clear()
+        self._send(world)
+
+    def ask(
+        self,
+        *,
+        goal: Sequence[float],
+        start_feet_world: np.ndarray,
+        first_side: Side | None,
+        once: bool = False,
+    ) -> int:
+        """Asks for a plan; returns the number of its answers. Older questions are dropped."""
+        self._number += 1
+        x_m, y_m, yaw_rad = (float(value) for value in goal)
+        self._open = Query(
+            number=self._number,
+            goal=(x_m, y_m, yaw_rad),
+            start_feet_world=np.array(start_feet_world),
+            first_side=first_side,
+            once=once,
+        )
+        self._send(self._open)
+        return self._number
+
+    def answers(self) -> list[Answer]:
+        """The answers that came since the last call, to the last question only."""
+        self._receive(0.0)
+        kept, self._kept = self._kept, []
+        return kept
+
+    def plan(
+        self,
+        *,
+        goal: Sequence[float],
+        start_feet_world: np.ndarray,
+        first_side: Side | None,
+        once: bool = False,
+    ) -> FootstepPlan:
+        """The best plan that is there in time; status TIMED_OUT if none is.
+
+        once: the plan that the world's options make as they stand, however long it takes.
+        """
+        patience_s = _ENDLESS_S if once else self.patience_s
+        began = time.monotonic()
+        self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=once)
+        best: FootstepPlan | None = None
+        while (left_s := patience_s - (time.monotonic() - began)) > 0:
+            self._receive(left_s)
+            for answer in self.answers():
+                best = answer.plan
+                if answer.is_last:
+                    return best
+        if best is not None:
+            return best
+        start, end = pair_pose(start_feet_world), [float(value) for value in goal]
+        return FootstepPlan(
+            start_feet_world=start_feet_world,
+            start=(start[0], start[1], start[2]),
+            goal=(end[0], end[1], end[2]),
+            status=PlanStatus.TIMED_OUT,
+            reason=f"no plan within {patience_s:g} s",
+            epsilon=math.inf,
+            time_s=time.monotonic() - began,
+        )
+
+    def close(self) -> None:
+        """Ends the process."""
+        self._pipe.close()
+        self._process.terminate()
+        self._process.join(timeout=5.0)
+
+    def _send(self, message: Any) -> None:
+        try:
+            self._pipe.send(message)
+        except OSError:
+            self._restart()
+            self._pipe.send(message)
+
+    def _receive(self, wait_s: float) -> None:
+        try:
+            while self._pipe.poll(wait_s):
+                answer = self._pipe.recv()
+                wait_s = 0.0
+                if isinstance(answer, Ready):
+                    self._is_ready = True
+                elif answer.number == self._number:
+                    self._open = None
+                    self._kept.append(answer)
+        except (EOFError, OSError):
+            self._restart()
+            # Once more, but not for ever: this may be what it died of.
+            query, self._open = self._open, None
+            if query is not None:
+                self._send(query)
+
+    def _restart(self) -> None:
+        """A planner that died, out of memory say, must not take the robot with it.
+
+        Raises:
+            RuntimeError: It dies whenever it is started.
+        """
+        self._pipe.close()
+        if self._starts >= _MOST_STARTS and not self._is_ready:
+            raise RuntimeError(f"the planner's process has died {self._starts} times at its start")
+        self._process.join(timeout=1.0)
+        self._start()
+
+
+class PatientPlanner:
+    """Asks a planner in another process and waits until it is done, as if it were in this one.
+
+    For planners that would hold Python's global lock, and so the page, for as long as they plan.
+    """
+
+    def __init__(self, process: PlanningProcess) -> None:
+        self._process = process
+
+    def plan(
+        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
+    ) -> FootstepPlan:
+        """The plan, however long it takes."""
+        return self._process.plan(
+            goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=True
+        )

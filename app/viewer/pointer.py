@@ -1,0 +1,152 @@
+"""What a click or a drag on the map means: goal, place of the robot, or a box."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+import viser
+from numpy.typing import ArrayLike
+
+from app.viewer.obstacles import Obstacle
+from app.viewer.surface import Met, Surface
+from planner.plan import Pose
+
+# A drag shorter than this does not say where to look.
+_SHORTEST_DRAG_M = 0.12
+
+
+class Tool(StrEnum):
+    """What the pointer does on the floor."""
+
+    GOAL = "Goal"
+    BOX = "Box"
+    ROBOT = "Robot"
+    LOOK = "Look"
+
+
+class Pointed(NamedTuple):
+    """A place on the floor, and which way to look there unless that was left open."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float | None = None
+
+
+class FloorPointer:
+    """Turns clicks and drags on the map into poses.
+
+    `on_pose(pointed, on, is_final)` is called also while a drag goes on; a click leaves the heading
+    open. `on` says what was pointed at, see `Met`. `on_drag(client_id)` is called for each piece of
+    a drag. `meets_robot(origin, direction)` says how far along a ray the robot is met, and where it
+    stands. With the tool LOOK a drag on the floor turns the camera.
+    """
+
+    def __init__(
+        self,
+        on_pose: Callable[[Pointed, int, bool], None],
+        surface: Surface,
+        *,
+        meets_robot: Callable[[ArrayLike, ArrayLike], tuple[float, Met]],
+        on_drag: Callable[[int], None] = lambda _client_id: None,
+    ) -> None:
+        self._on_pose, self._on_drag, self._meets_robot = on_pose, on_drag, meets_robot
+        # What the drag of each page began on.
+        self._begun: dict[int, Met | None] = {}
+        self._bare = self._surface = surface
+        self._floor: viser.BoxHandle | None = None
+        self._tool = Tool.GOAL
+        self._drags = False
+
+    def watch(self, floor: viser.BoxHandle) -> None:
+        """Listens to this floor from now on."""
+        self._floor, self._drags = floor, False
+        floor.on_click(self.clicked)
+        self.use(self._tool)
+
+    def use(self, tool: Tool) -> None:
+        """Chooses what a drag is for."""
+        self._tool = tool
+        wanted = tool in (Tool.GOAL, Tool.ROBOT)
+        if self._floor is None or wanted == self._drags:
+            return
+        self._drags = wanted
+        if wanted:
+            self._floor.on_drag("left")(self._dragged)
+        else:
+            self._floor.remove_drag_callback("all")
+
+    def see_boxes(self, obstacles: Iterable[Obstacle]) -> None:
+        """These boxes stand on the map from now on."""
+        self._surface = self._bare.with_boxes(obstacles)
+
+    def height_m(self, place: Sequence[float]) -> float:
+        """How high floor, wall or box at a point of the world reaches."""
+        return self._surface.height_m(place)
+
+    # Coroutines are awaited one after the other; functions could overtake one another.
+    async def clicked(self, event: viser.SceneNodePointerEvent) -> None:
+        """Takes a click on anything; what it meets first counts, whoever tells of it."""
+        met = self._met(event.ray_origin, event.ray_direction)
+        if met is not None and self._tool is not Tool.LOOK:
+            self._on_pose(Pointed(met.x_m, met.y_m), met.on, True)
+
+    async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
+        page = event.client.client_id
+        self._on_drag(page)
+        eye = np.asarray(event.client.camera.position)
+        if event.phase == "start" or page not in self._begun:
+            # The robot may walk into the way, or out of it, while somebody drags.
+            self._begun[page] = self._met(eye, np.asarray(event.start_position) - eye)
+        met = self._begun[page]
+        if event.phase == "end":
+            del self._begun[page]
+        if met is None or event.phase == "start":
+            return
+        # The end only says where to look: what stands there hides nothing of that.
+        point = on_floor(eye, np.asarray(event.end_position) - eye, met.z_m)
+        if point is not None:
+            self._on_pose(toward((met.x_m, met.y_m), point), met.on, event.phase == "end")
+
+    def _met(self, origin: ArrayLike, direction: ArrayLike) -> Met | None:
+        met = self._surface.met(origin, direction)
+        away_m, robot = self._meets_robot(origin, direction)
+        if met is None:
+            return robot if math.isfinite(away_m) else None
+        return robot if away_m < math.dist(np.ravel(origin), (met.x_m, met.y_m, met.z_m)) else met
+
+
+def on_floor(
+    origin: Sequence[float] | np.ndarray,
+    direction: Sequence[float] | np.ndarray,
+    height_m: float = 0.0,
+) -> tuple[float, float] | None:
+    """Where a ray meets level ground of this height; None if it never does."""
+    if direction[2] >= -1e-9:
+        return None
+    along = (height_m - origin[2]) / direction[2]
+    return float(origin[0] + along * direction[0]), float(origin[1] + along * direction[1])
+
+
+def toward(place: tuple[float, float], point: tuple[float, float]) -> Pointed:
+    """A place and the way to a point from there; no heading if the two are too near to tell."""
+    away_x, away_y = point[0] - place[0], point[1] - place[1]
+    if math.hypot(away_x, away_y) < _SHORTEST_DRAG_M:
+        return Pointed(*place)
+    return Pointed(*place, math.atan2(away_y, away_x))
+
+
+def facing(pointed: Pointed, robot_xy: Sequence[float], robot_yaw_rad: float) -> Pose:
+    """The pose, looking the way the robot comes if that was left open, or as it does if it is near.
+
+    `robot_xy` and `robot_yaw_rad` say where the robot is now.
+    """
+    x_m, y_m, yaw_rad = pointed
+    if yaw_rad is None:
+        away_x, away_y = x_m - robot_xy[0], y_m - robot_xy[1]
+        far = math.hypot(away_x, away_y) > 0.5
+        yaw_rad = math.atan2(away_y, away_x) if far else robot_yaw_rad
+    return round(x_m, 3), round(y_m, 3), round(yaw_rad, 3)

@@ -1,0 +1,148 @@
+"""All planners side by side on a large office: `python -m benchmarks.compare_planners --side-m 60`.
+
+The office is drawn from the seed: rooms of 6 m by 6 m with doors in three of four walls and four
+pieces of furniture each. Start and goal are random free poses at least half a side apart. Each
+planner makes a first plan, and one with its default effort; every plan is checked by exact
+polygons. Times are CPU time of this one thread from the map to the plan, with distance field and
+heuristic; compiling and the tables of the robot come before. Costs are relative to the least cost
+that any planner found for the query.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+import sys
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import tyro
+
+from benchmarks.planner import ROBOT
+from maps.grid import Cell, OccupancyGrid
+from planner.collision import terrain_of
+from planner.endpoints import what_blocks
+from planner.options import PLANNERS, PlannerOptions
+from planner.plan import Pose, feet_at
+from planner.planner import Planner
+from planner.verify import violations
+
+_CELL_M, _ROOM_M, _DOOR_M, _WALL_CELLS = 0.05, 6.0, 1.2, 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arguments:
+    """All planners on a large office.
+
+    side_m: of the square office. names: planners to run. count: queries. seed: of office, queries
+    and planners. limit_s: time limit of a plan; 0 for none.
+    """
+
+    side_m: float = 60.0
+    names: tuple[str, ...] = PLANNERS
+    count: int = 10
+    seed: int = 0
+    limit_s: float = 20.0
+
+
+def office(side_m: float, seed: int) -> OccupancyGrid:
+    """A square office of rooms, with an outer wall."""
+    rng = np.random.default_rng(seed)
+    side, room, door = (round(v / _CELL_M) for v in (side_m, _ROOM_M, _DOOR_M))
+    cells = np.zeros((side, side), np.uint8)
+    for wall in range(0, side + 1, room):
+        first = min(wall, side - _WALL_CELLS)
+        cells[first : first + _WALL_CELLS] = Cell.OCCUPIED
+        cells[:, first : first + _WALL_CELLS] = Cell.OCCUPIED
+    for row in range(0, side, room):
+        for col in range(0, side, room):
+            for axis, at in ((0, row), (1, col)):
+                place = int(rng.integers(10, room - door - 10))
+                if at and rng.random() < 0.75:
+                    gap = np.s_[row : row + _WALL_CELLS, col + place : col + place + door]
+                    if axis:
+                        gap = np.s_[row + place : row + place + door, col : col + _WALL_CELLS]
+                    cells[gap] = Cell.FREE
+            for _ in range(4):
+                height, width = rng.integers(6, 30, 2)
+                y, x = rng.integers(5, room - 35, 2)
+                cells[row + y : row + y + height, col + x : col + x + width] = Cell.OCCUPIED
+    for edge in (np.s_[:_WALL_CELLS], np.s_[-_WALL_CELLS:]):
+        cells[edge] = cells[:, edge] = Cell.OCCUPIED
+    return OccupancyGrid(cells=cells, resolution_m=_CELL_M)
+
+
+def draw_queries(grid: OccupancyGrid, count: int, seed: int) -> list[tuple[Pose, Pose]]:
+    """Pairs of free poses, at least half the map's side apart."""
+    rng, terrain = np.random.default_rng(seed), terrain_of(grid, False)
+    side_m = grid.size_m[0]
+
+    def free() -> Pose:
+        while True:
+            x_m, y_m, yaw_rad = rng.uniform((0, 0, -math.pi), (side_m, side_m, math.pi))
+            feet = feet_at((x_m, y_m, yaw_rad), ROBOT.stance_width_m)
+            if not what_blocks(grid, terrain, ROBOT, feet):
+                return x_m, y_m, yaw_rad
+
+    queries: list[tuple[Pose, Pose]] = []
+    while len(queries) < count:
+        start, goal = free(), free()
+        if math.dist(start[:2], goal[:2]) >= side_m / 2:
+            queries.append((start, goal))
+    return queries
+
+
+def measure(
+    grid: OccupancyGrid, queries: list[tuple[Pose, Pose]], options: PlannerOptions
+) -> np.ndarray:
+    """CPU time in seconds and cost in metres (n, 2) of the queries' plans; no cost without one."""
+    small = office(2 * _ROOM_M, options.seed)
+    start, goal = draw_queries(small, 1, options.seed)[0]
+    Planner(small, ROBOT, options).plan(start=start, goal=goal)  # compiles
+    rows = []
+    for start, goal in queries:
+        began = time.process_time()
+        plan = Planner(grid, ROBOT, options).plan(start=start, goal=goal)
+        spent_s = time.process_time() - began
+        rows.append((spent_s, plan.cost_m if plan.found else math.nan))
+        faults = violations(plan, grid, ROBOT) if plan.found else [plan.reason]
+        for fault in faults[:1]:
+            print(f"{options.name} from {start} to {goal}: {fault}", file=sys.stderr)
+    return np.array(rows)
+
+
+def main() -> None:
+    """Runs all planners and prints the table."""
+    arguments = tyro.cli(Arguments)
+    grid = office(arguments.side_m, arguments.seed)
+    queries = draw_queries(grid, arguments.count, arguments.seed)
+    rows = {}
+    for name in arguments.names:
+        for first in (True, False):
+            options = PlannerOptions(
+                name=name,
+                stop_at_first=first,
+                time_limit_s=arguments.limit_s or None,
+                seed=arguments.seed,
+            )
+            rows[name, first] = measure(grid, queries, options)
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            print(f"{name}: {peak:.0f} MB", file=sys.stderr)
+    least_m = np.nanmin([measured[:, 1] for measured in rows.values()], axis=0)
+    print(
+        "| planner | first plan, ms, median / p95 | its cost | default effort, ms, median / p95 "
+        "| its cost | found |\n|---|---|---|---|---|---|"
+    )
+    for name in arguments.names:
+        columns = []
+        for first in (True, False):
+            spent_s, cost_m = rows[name, first].T
+            median, p95 = np.percentile(spent_s * 1e3, (50, 95))
+            columns.append(f"{median:.0f} / {p95:.0f} | {np.nanmedian(cost_m / least_m):.2f}")
+        found = int(np.isfinite(rows[name, False][:, 1]).sum())
+        print(f"| `{name}` | {columns[0]} | {columns[1]} | {found} of {len(queries)} |")
+
+
+if __name__ == "__main__":
+    main()

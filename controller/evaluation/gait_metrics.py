@@ -1,0 +1,179 @@
+"""What a recorded walk says of a gait: loads, symmetry, ground forces, posture, transport cost.
+
+Pure functions of a `WalkRecord`; robots that fell are to be left out before (`of_upright`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from controller.evaluation.gait_record import WalkRecord
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from planner.robot_model import Side
+from sim.robot import Robot
+
+GRAVITY_M_S2 = 9.81
+# Less than this of the robot's weight on a foot does not count as contact.
+CONTACT_WEIGHTS = 0.02
+
+
+def joint_loads(record: WalkRecord, robot: Robot) -> list[dict[str, Any]]:
+    """Per joint: peak and root mean square of torque and speed over all walks, and its limits."""
+    torque, speed = record.torque_nm, record.joint_speed_rad_s
+    return [
+        {
+            "joint": joint.name,
+            "peak_torque_nm": float(np.abs(torque[..., k]).max()),
+            "rms_torque_nm": float(np.sqrt(np.mean(torque[..., k] ** 2))),
+            "torque_limit_nm": joint.torque_limit_nm,
+            "peak_speed_rad_s": float(np.abs(speed[..., k]).max()),
+            "rms_speed_rad_s": float(np.sqrt(np.mean(speed[..., k] ** 2))),
+            "speed_limit_rad_s": joint.speed_limit_rad_s,
+        }
+        for k, joint in enumerate(robot.joints)
+    ]
+
+
+def asymmetry(left: float, right: float) -> float:
+    """Difference of the two sides over their mean: 0 for alike, 2 where one side does nothing."""
+    mean = (left + right) / 2
+    return abs(left - right) / mean if mean else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cycle:
+    """A quantity of each foot over the gait cycle, which begins at the right foot's lift-off.
+
+    time_s (n,): middles of the bins. mean, low, high (n, 2): left then right; low and high are
+    the 5th and 95th percentiles over cycles and robots.
+    """
+
+    time_s: np.ndarray
+    mean: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def over_cycle(record: WalkRecord, values: np.ndarray, ticks: GaitTicks, *, bins: int) -> Cycle:
+    """Values (B, N, 2) at the physics rate, gathered by the phase of the gait.
+
+    Each cycle counts once in a bin, with the mean of its values there; what lies outside whole
+    cycles counts where it falls.
+    """
+    substeps = record.substeps
+    walking = record.cycle_tick >= 0
+    start = record.cycle_tick[..., None] * substeps + np.arange(substeps)
+    phase = start.reshape(len(start), -1)
+    cycle = 2 * ticks.step * substeps
+    bin_of = phase * bins // cycle
+    # A new cycle begins where the phase falls back.
+    number = np.cumsum(np.diff(phase, axis=1, prepend=phase[:, :1]) < 0, axis=1)
+    chosen = np.repeat(walking, substeps, axis=1)
+    curves = np.full((2, 3, bins), np.nan)
+    most = int(number.max(initial=0)) + 1
+    robot = np.arange(len(phase))[:, None]
+    key = ((robot * most + number) * bins + bin_of)[chosen]
+    size = len(phase) * most * bins
+    count = np.bincount(key, minlength=size)
+    for side in Side:
+        total = np.bincount(key, weights=values[..., side][chosen], minlength=size)
+        with np.errstate(invalid="ignore"):
+            means = (total / count).reshape(-1, bins)
+        for bin_ in range(bins):
+            there = means[~np.isnan(means[:, bin_]), bin_]
+            if len(there):
+                curves[side, :, bin_] = there.mean(), *np.percentile(there, [5, 95])
+    middles = (np.arange(bins) + 0.5) * 2 * ticks.step * CONTROL_PERIOD_S / bins
+    mean, low, high = np.moveaxis(curves, 1, 0).swapaxes(1, 2)
+    return Cycle(time_s=middles, mean=mean, low=low, high=high)
+
+
+def peak_weights(record: WalkRecord, mass_kg: float) -> list[float]:
+    """The greatest force under each foot over the robot's weight, left then right."""
+    most_n = record.ground_force_n.max(axis=(0, 1))
+    return [float(force_n / (mass_kg * GRAVITY_M_S2)) for force_n in most_n]
+
+
+def in_contact(record: WalkRecord, mass_kg: float) -> np.ndarray:
+    """Whether each foot bears weight (B, N, 2)."""
+    return np.asarray(record.ground_force_n > CONTACT_WEIGHTS * mass_kg * GRAVITY_M_S2)
+
+
+def contact_agreement(record: WalkRecord, mass_kg: float) -> float:
+    """Share of the time outside the ramps in which contact is what the phase indicator asks for.
+
+    A foot whose indicator is +1 should be in contact, one at -1 should not (Singh et al. 2022,
+    sec. IV-C); nan where there is no such time.
+    """
+    contact = in_contact(record, mass_kg)
+    asked = np.repeat(record.indicator, record.substeps, axis=1)
+    settled = np.abs(asked) >= 1.0
+    return float(np.mean(contact[settled] == (asked[settled] > 0))) if settled.any() else np.nan
+
+
+def swing_lags(record: WalkRecord, mass_kg: float, ticks: GaitTicks) -> tuple[float, float]:
+    """Medians, in seconds, by which feet lift off and touch down later than the clock says.
+
+    Lift-off is the first moment of a swing without contact, touch-down the first with contact
+    after its middle; nan where there is no whole swing.
+    """
+    contact, substeps = in_contact(record, mass_kg), record.substeps
+    period, swing = ticks.step * substeps, ticks.swing * substeps
+    lifts, touches = [], []
+    for side, begin in ((Side.RIGHT, 0), (Side.LEFT, ticks.step)):
+        for row, tick in zip(*np.nonzero(record.cycle_tick == begin), strict=True):
+            foot = contact[row, tick * substeps : tick * substeps + period, side]
+            if len(foot) < period or foot.all():
+                continue
+            lifts.append(int(np.argmin(foot)))
+            late = foot[swing // 2 :]
+            if late.any():
+                touches.append(swing // 2 + int(np.argmax(late)) - swing)
+    return _median_s(lifts, record.timestep_s), _median_s(touches, record.timestep_s)
+
+
+def _median_s(steps: list[int], timestep_s: float) -> float:
+    return float(np.median(steps)) * timestep_s if steps else np.nan
+
+
+def posture(record: WalkRecord) -> dict[str, float]:
+    """How upright the robot walks and how high it lifts its feet.
+
+    `pelvis_m_median` and `_lowest`: the pelvis above the lower sole; `foot_lift_m_median` and
+    `_highest`: of the highest that each foot was above the floor in each walk.
+    """
+    lift_m = record.sole_height_m.max(axis=1)
+    return {
+        "pelvis_m_median": float(np.median(record.pelvis_height_m)),
+        "pelvis_m_lowest": float(record.pelvis_height_m.min()),
+        "foot_lift_m_median": float(np.median(lift_m)),
+        "foot_lift_m_highest": float(lift_m.max()),
+    }
+
+
+def mechanical_work_j(record: WalkRecord) -> np.ndarray:
+    """Absolute work (B,) of all servos: what brakes costs as much as what drives.
+
+    Counted from where `distance_m` is: the end of the first control step.
+    """
+    power_w = np.abs(record.torque_nm * record.joint_speed_rad_s).sum(axis=2)
+    return np.asarray(power_w[:, record.substeps :].sum(axis=1) * record.timestep_s)
+
+
+def distance_m(record: WalkRecord) -> np.ndarray:
+    """How far (B,) each pelvis came, as the crow flies."""
+    way = record.pelvis_xy_world[:, -1] - record.pelvis_xy_world[:, 0]
+    return np.linalg.norm(way, axis=1)
+
+
+def duration_s(record: WalkRecord) -> float:
+    """The time from the end of the first control step to that of the last."""
+    return (record.pelvis_xy_world.shape[1] - 1) * CONTROL_PERIOD_S
+
+
+def cost_of_transport(work_j: np.ndarray, mass_kg: float, way_m: np.ndarray) -> np.ndarray:
+    """Work per weight and distance, E / (m g d), without a unit."""
+    return np.asarray(work_j / (mass_kg * GRAVITY_M_S2 * way_m))

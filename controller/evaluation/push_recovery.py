@@ -1,0 +1,111 @@
+"""Push recovery: walking robots shoved at the pelvis, and how many stay on their feet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from controller.evaluation.rollouts import portions, set_off, walk
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import Policy
+from controller.step_cursor import Track
+from controller.step_sequences import chain_steps
+from planner.robot_model import Side
+from sim.robot import Robot
+
+# In the frame of the walk: x forward, y left.
+DIRECTIONS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {
+        "from behind": (1.0, 0.0),
+        "from the front": (-1.0, 0.0),
+        "from the right": (0.0, 1.0),
+        "from the left": (0.0, -1.0),
+    }
+)
+PUSH_S = 0.1
+EARLIEST_S = 2.0
+WALK_S = 8.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Push:
+    """One push: an impulse in N s along a direction (x, y), and when it begins."""
+
+    impulse_ns: float
+    direction: tuple[float, float]
+    begins_tick: int
+
+    @property
+    def force_world_n(self) -> tuple[float, float, float]:
+        """The force that gives the impulse in `PUSH_S`."""
+        force_n = self.impulse_ns / PUSH_S
+        return force_n * self.direction[0], force_n * self.direction[1], 0.0
+
+    def acts(self, tick: int) -> bool:
+        """Whether it pushes during control step `tick`."""
+        return 0 <= tick - self.begins_tick < round(PUSH_S / CONTROL_PERIOD_S)
+
+
+def push_recovery(
+    robot: Robot,
+    policy: Policy,
+    direction: str,
+    impulses_ns: Sequence[float],
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+) -> list[float]:
+    """Share of `count` robots that are on their feet at the end, per impulse.
+
+    All walk straight forward (the world's x) and are pushed once, at a moment drawn over a whole
+    gait cycle, so that every phase of both feet has its turn.
+    """
+    rng = np.random.default_rng(seed)
+    cycle_s = 2 * robot.gait.step_s
+    pushes = [
+        Push(
+            impulse_ns=impulse_ns,
+            direction=DIRECTIONS[direction],
+            begins_tick=round((EARLIEST_S + rng.uniform(0, cycle_s)) / CONTROL_PERIOD_S),
+        )
+        for impulse_ns in impulses_ns
+        for _ in range(count)
+    ]
+    stayed = []
+    for rows, part_seed in portions(len(pushes), seed):
+        part = [pushes[row] for row in rows]
+        stayed.append(_walk_pushed(robot, policy, part, part_seed, threads))
+    shares = np.concatenate(stayed).reshape(len(impulses_ns), count).mean(axis=1)
+    return [float(share) for share in shares]
+
+
+def _walk_pushed(
+    robot: Robot,
+    policy: Policy,
+    pushes: Sequence[Push],
+    seed: np.random.SeedSequence,
+    threads: int,
+) -> np.ndarray:
+    """Which robots (B,) are upright at the end of the walk."""
+    steps = int(WALK_S / robot.gait.step_s) + 2
+    width_m = robot.step_model.stance_width_m
+    ahead_m = robot.step_model.limits.most_x_m(width_m)
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+        length_m = rng.uniform(0.5, 1.0) * ahead_m
+        relative = np.tile((length_m, width_m, 0.0), (steps, 1))
+        side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
+        return Track.of(feet, side, poses)
+
+    walker = set_off(robot, draw, count=len(pushes), seed=seed, threads=threads)
+    still = (0.0, 0.0, 0.0)
+    upright = np.ones(len(pushes), dtype=bool)
+    for tick in walk(walker, policy, round(WALK_S / CONTROL_PERIOD_S)):
+        upright, coming = tick.upright, tick.number + 1
+        forces = [push.force_world_n if push.acts(coming) else still for push in pushes]
+        walker.sim.push(np.array(forces))
+    return upright

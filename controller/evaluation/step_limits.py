@@ -1,0 +1,212 @@
+"""How well a policy takes each kind of step, and within which limits it takes them all.
+
+Walks are 10 s long. Steps are (x_m, y_m, yaw_rad) in the support foot's frame, y and yaw outward.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.evaluation.limit_search import Trial, corners_of
+from controller.evaluation.rollouts import portions, set_off, walk
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import Policy
+from controller.step_cursor import STANCE, Track
+from controller.step_sequences import chain_steps, kept_within
+from planner.robot_model import Side, StepLimits
+from sim.robot import Robot
+
+WALK_S = 10.0
+# Whether each step of (n, 3) is one that the feet can stand in.
+Possible = Callable[[np.ndarray], np.ndarray]
+# Gives steps (n, 3) of one walk, told how many and which robot's they are; and which of them count.
+DrawSteps = Callable[[np.random.Generator, int, int], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepWalks:
+    """B walks: which robots stayed `upright` (B,), and each landing that counts.
+
+    Per landing (N,): `robot`, horizontal `error_m`, `heading_error_rad` (not negative).
+    """
+
+    upright: np.ndarray
+    robot: np.ndarray
+    error_m: np.ndarray
+    heading_error_rad: np.ndarray
+
+
+def walk_steps(
+    robot: Robot,
+    policy: Policy,
+    draw_steps: DrawSteps,
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+    falls_at_most: int | None = None,
+) -> StepWalks:
+    """Let `count` robots walk steps that are drawn anew for each.
+
+    They walk in portions; once more than `falls_at_most` have fallen, the rest is left out.
+    """
+    parts: list[StepWalks] = []
+    for rows, part_seed in portions(count, seed):
+        parts.append(_walk_portion(robot, policy, draw_steps, rows, part_seed, threads))
+        falls = sum(int((~part.upright).sum()) for part in parts)
+        if falls_at_most is not None and falls > falls_at_most:
+            break
+    names = ("upright", "robot", "error_m", "heading_error_rad")
+    return StepWalks(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
+
+
+def _walk_portion(
+    robot: Robot,
+    policy: Policy,
+    draw_steps: DrawSteps,
+    rows: range,
+    seed: np.random.SeedSequence,
+    threads: int,
+) -> StepWalks:
+    steps = int(WALK_S / robot.gait.step_s) + 2
+    counting = np.zeros((len(rows), steps), dtype=bool)
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+        relative, counting[row] = draw_steps(rng, steps, rows[row])
+        side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
+        return Track.of(feet, side, poses)
+
+    walker = set_off(robot, draw, count=len(rows), seed=seed, threads=threads)
+    upright = np.ones(len(rows), dtype=bool)
+    who, error_m, heading = [], [], []
+    for tick in walk(walker, policy, round(WALK_S / CONTROL_PERIOD_S)):
+        upright = tick.upright
+        landed = np.flatnonzero(tick.landed)
+        landed = landed[counting[landed, tick.entry[landed] - STANCE]]
+        off = (tick.placed_world - tick.asked_world)[landed]
+        who.append(rows[0] + landed)
+        error_m.append(np.hypot(off[:, 0], off[:, 1]))
+        heading.append(np.abs((off[:, 3] + np.pi) % (2 * np.pi) - np.pi))
+    return StepWalks(
+        upright=upright,
+        robot=np.concatenate(who),
+        error_m=np.concatenate(error_m),
+        heading_error_rad=np.concatenate(heading),
+    )
+
+
+def step_map(
+    robot: Robot,
+    policy: Policy,
+    kinds: np.ndarray,
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+) -> list[dict[str, float | None]]:
+    """Success and 95th percentile of the foot error of each kind of step (K, 3).
+
+    `count` robots a kind take it in every other step on average, at random, and steps of the
+    planner's set in between, as plans do.
+    """
+    among = np.array(robot.step_model.steps)
+
+    def draw(rng: np.random.Generator, steps: int, row: int) -> tuple[np.ndarray, np.ndarray]:
+        this = rng.uniform(size=steps) < 0.5
+        relative = among[rng.integers(len(among), size=steps)]
+        relative[this] = kinds[row // count]
+        return relative, this
+
+    walks = walk_steps(robot, policy, draw, count=len(kinds) * count, seed=seed, threads=threads)
+    success = walks.upright.reshape(len(kinds), count).mean(axis=1)
+    found: list[dict[str, float | None]] = []
+    for k, kind in enumerate(kinds):
+        error_m = walks.error_m[walks.robot // count == k]
+        found.append(
+            {
+                "x_m": float(kind[0]),
+                "y_m": float(kind[1]),
+                "yaw_rad": float(kind[2]),
+                "success": float(success[k]),
+                "error_m_p95": float(np.percentile(error_m, 95)) if len(error_m) else None,
+            }
+        )
+    return found
+
+
+def walk_within(
+    robot: Robot,
+    policy: Policy,
+    limits: StepLimits,
+    possible: Possible,
+    *,
+    count: int,
+    seed: int,
+    threads: int = 1,
+    falls_at_most: int | None = None,
+) -> tuple[StepWalks, Trial]:
+    """Walks within limits, and how they went at each corner of these.
+
+    They begin with two steps on corners, which are hardest, and which plans touch where they join
+    the robot's stance to their lattice; a corner that the polygon cuts off is drawn in to its edge.
+    They go on with steps anywhere within the limits or, half
+    of them, of the planner's set.
+    """
+    corners = kept_within(corners_of(limits), limits, robot.step_model.stance_width_m)
+    usable = np.flatnonzero(possible(corners))
+    among = np.array([step for step in robot.step_model.steps if limits.contain(step)])
+    low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T
+    touched = np.zeros((count, len(corners)), dtype=bool)
+
+    def anywhere(rng: np.random.Generator) -> np.ndarray:
+        while True:
+            step = rng.uniform(low, high)
+            if possible(step[None])[0]:
+                return np.asarray(step)
+
+    def draw(rng: np.random.Generator, steps: int, row: int) -> tuple[np.ndarray, np.ndarray]:
+        relative = among[rng.integers(len(among), size=steps)]
+        for k in np.flatnonzero(rng.uniform(size=steps) < 0.5):
+            relative[k] = anywhere(rng)
+        if len(usable):
+            first = usable[rng.integers(len(usable), size=2)]
+            relative[:2], touched[row, first] = corners[first], True
+        return relative, np.ones(steps, dtype=bool)
+
+    walks = walk_steps(
+        robot,
+        policy,
+        draw,
+        count=count,
+        seed=seed,
+        threads=threads,
+        falls_at_most=falls_at_most,
+    )
+    done = touched[: len(walks.upright)]
+    return walks, Trial(
+        limits=limits,
+        success=float(walks.upright.mean()),
+        walked=done.sum(axis=0),
+        fell=done[~walks.upright].sum(axis=0),
+    )
+
+
+def kinds_over(limits: StepLimits, stance_width_m: float, possible: Possible) -> np.ndarray:
+    """Steps (K, 3) on a grid over the limits that passes through stepping in place."""
+
+    def axis(ends: tuple[float, float], middle: float, below: int, above: int) -> np.ndarray:
+        low, high = np.linspace(ends[0], middle, below + 1), np.linspace(middle, ends[1], above + 1)
+        return np.unique(np.concatenate([low, high]))
+
+    grid = np.array(
+        [
+            (x_m, y_m, yaw_rad)
+            for yaw_rad in axis(limits.yaw_rad, 0.0, 2, 2)
+            for y_m in axis(limits.y_m, stance_width_m, 1, 2)
+            for x_m in axis(limits.x_m, 0.0, 2, 3)
+        ]
+    )
+    return grid[possible(grid)]

@@ -1,0 +1,114 @@
+"""Pictures of a robot on its steps, for Gymnasium's `render`."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from controller.gym_task import Moment
+from planner.robot_model import Side
+from sim.gl import NoGlError, prepare_gl
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
+from sim.scene import Scene, build_scene
+
+WIDTH, HEIGHT = 640, 480
+COLOURS = {Side.LEFT: (0.12, 0.43, 0.78, 1.0), Side.RIGHT: (0.94, 0.47, 0.16, 1.0)}
+PLATE_THICKNESS_M = 0.004
+
+
+class Painter:
+    """Draws one robot at a time, dressed, with the two steps before it.
+
+    It draws in a GL context of its own, so that it does not matter what MUJOCO_GL said when
+    MuJoCo was imported, as `mujoco.Renderer` would have it.
+    """
+
+    def __init__(self, scene: Scene):
+        """Get ready to draw the robot of a scene, on the ground that the scene has.
+
+        Raises:
+            NoGlError: no GL library works here.
+        """
+        self._context = _gl_context()
+        robot = scene.robot
+        self._foot = robot.step_model.foot
+        self._model = build_scene(
+            robot, timestep_s=scene.model.opt.timestep, visuals=True, treads=scene.has_treads
+        ).model
+        self._model.vis.quality.offsamples = 0  # smooth edges take most of the time in software
+        self._model.vis.headlight.ambient[:] = 0.2
+        self._data = mujoco.MjData(self._model)
+        self._scene = mujoco.MjvScene(self._model, 2000)
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._scene.flags[flag] = False
+        self._shown = mujoco.MjvOption()
+        has_meshes = np.any(self._model.geom_group == VISUAL_GROUP)
+        self._shown.geomgroup[PHYSICS_GROUP] = not has_meshes
+        self._camera = mujoco.MjvCamera()
+        self._camera.distance = 1.5 * robot.height_m
+        self._camera.azimuth, self._camera.elevation = 70.0, -18.0
+        self._renderer = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
+
+    def draw(self, moment: Moment, row: int) -> np.ndarray:
+        """The picture (HEIGHT, WIDTH, 3), red green blue, of robot `row` at a moment."""
+        self._context.make_current()
+        qpos, window, side = moment.qpos[row], moment.window[row], Side(int(moment.side[row]))
+        self._data.qpos[:] = qpos
+        if moment.ground is not None:
+            self._data.mocap_pos[:] = moment.ground[0][row]
+            self._data.mocap_quat[:] = moment.ground[1][row]
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._camera.lookat[:] = qpos[:3]
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._shown, None, self._camera, everything, self._scene
+        )
+        self._add_plate(window[0], side)
+        self._add_plate(window[1], side.other)
+        picture = np.empty((HEIGHT, WIDTH, 3), np.uint8)
+        frame = mujoco.MjrRect(0, 0, WIDTH, HEIGHT)
+        mujoco.mjr_render(frame, self._scene, self._renderer)
+        mujoco.mjr_readPixels(picture, None, frame, self._renderer)
+        return np.ascontiguousarray(picture[::-1])  # OpenGL counts rows from below
+
+    def close(self) -> None:
+        """Free the GL context; may be called again."""
+        if self._context is not None:
+            self._context.make_current()
+            self._renderer.free()
+            self._context.free()
+            self._context = None
+
+    def _add_plate(self, pose_world: np.ndarray, side: Side) -> None:
+        """A coloured plate where the foot is to stand."""
+        x, y, z, yaw = pose_world
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        plate = self._scene.geoms[self._scene.ngeom]
+        mujoco.mjv_initGeom(
+            plate,
+            mujoco.mjtGeom.mjGEOM_BOX.value,
+            np.array([self._foot.length_m / 2, self._foot.width_m / 2, PLATE_THICKNESS_M]),
+            np.array([x, y, z]),
+            np.array([cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]),
+            np.array(COLOURS[side], np.float32),
+        )
+        self._scene.ngeom += 1
+
+
+def _gl_context() -> Any:
+    """A current GL context of the kind that works here."""
+    way = prepare_gl()
+    try:
+        module = importlib.import_module(f"mujoco.{way}" if way else "mujoco")
+        context = module.GLContext(WIDTH, HEIGHT)
+        context.make_current()
+    except Exception as error:
+        # Each way fails in its own manner: ImportError, RuntimeError, GLError, FatalError.
+        raise NoGlError from error
+    return context

@@ -1,0 +1,222 @@
+"""Training from nothing to a policy, in segments that a killed run takes up again exactly.
+
+A segment is a fixed number of updates. It begins by drawing new episodes and seeding torch from
+(seed, segment), and ends with a checkpoint; so a resumed run gives the policy that the
+uninterrupted one gives, whatever the number of physics threads.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+
+from controller.assessment import ModeResult
+from controller.checkpoint import (
+    Checkpoint,
+    TrainingError,
+    read_checkpoint,
+    require_room,
+    write_checkpoint,
+)
+from controller.env import WalkTask
+from controller.git_revision import git_revision
+from controller.held_out import assess_stage, score
+from controller.planned import PlannedSteps
+from controller.policy import Policy, fitting, save_policy
+from controller.ppo import RslWalkEnv, actor_layers, make_ppo, set_progress
+from controller.statistics import Report, Tally
+from controller.train_config import TrainConfig
+from sim.robot import Robot
+
+
+class Trainer:
+    """One training run in one folder: checkpoint, log, and the best policy so far."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        config: TrainConfig,
+        out: Path,
+        *,
+        threads: int,
+        command: str,
+        planned: PlannedSteps | None = None,
+    ):
+        self.robot, self.config, self.out = robot, config, out
+        self.threads, self.command = threads, command
+        self._revision = git_revision()  # of the code that runs, not of what is committed later
+        torch.set_num_threads(config.ppo.learner_threads)
+        torch.manual_seed(config.seed)
+        task = WalkTask(
+            robot,
+            count=config.ppo.robots,
+            seed=config.seed,
+            threads=threads,
+            config=config.task,
+            planned=planned,
+        )
+        self.env = RslWalkEnv(task)
+        self.ppo = make_ppo(self.env, config.ppo)
+        self.segment = 0
+        self.stage = config.curriculum.first()
+        self.best_score = (-np.inf, -np.inf)
+        self.history: list[dict[str, Any]] = []
+
+    def run(self, progress: Callable[[Report], None]) -> None:
+        """Train to the end, from where the run stands; the best policy is in the folder.
+
+        Raises:
+            TrainingError: the folder cannot be written, say because the disk is full.
+        """
+        from torch.utils.tensorboard import SummaryWriter
+
+        try:
+            with SummaryWriter(log_dir=str(self.out / "tensorboard")) as writer:
+                while self.segment < self.config.segments:
+                    require_room(self.out)
+                    report = self._run_segment(writer)
+                    # Before the checkpoint: who resumes from it relies on the policy being there.
+                    if report.best:
+                        save_policy(self._policy(), self.out / f"{self.robot.name}.safetensors")
+                    self.save_checkpoint()
+                    progress(report)
+        except OSError as error:
+            raise TrainingError(
+                f"cannot write in {self.out}: {error.strerror or error}; "
+                "make room and go on with --resume"
+            ) from error
+
+    def _run_segment(self, writer: Any) -> Report:
+        config = self.config
+        segment_seed = np.random.SeedSequence([config.seed, self.segment])
+        torch.manual_seed(int(segment_seed.generate_state(1)[0]))  # rsl-rl draws from it
+        self.env.task.restart(segment_seed, stage=self.stage)
+        started, tally = time.perf_counter(), Tally()
+        observation = self.env.get_observations()
+        losses: dict[str, float] = {}
+        for update in range(config.updates_per_segment):
+            done = self.segment + update / config.updates_per_segment
+            set_progress(self.ppo, config.ppo, done / config.segments)
+            observation = self._sample(observation, tally)
+            torch.set_num_threads(config.ppo.learner_threads)
+            losses = self.ppo.update()
+        seconds = time.perf_counter() - started
+        self.segment += 1
+        results = assess_stage(self.robot, self._policy(), config, self.stage, threads=self.threads)
+        return self._note(writer, tally.summary(), losses, results, seconds)
+
+    def _sample(self, observation: Any, tally: Tally) -> Any:
+        """One rollout with the present policy; returns the observation after it."""
+        torch.set_num_threads(1)  # the physics has the cores
+        with torch.inference_mode():
+            for _ in range(self.config.ppo.ticks_per_update):
+                actions = self.ppo.act(observation)
+                observation, rewards, dones, extras = self.env.step(actions)
+                self.ppo.process_env_step(observation, rewards, dones, extras)
+                tally.add(extras["transition"])
+            self.ppo.compute_returns(observation)
+        return observation
+
+    def _note(
+        self,
+        writer: Any,
+        summary: dict[str, float],
+        losses: dict[str, float],
+        results: tuple[ModeResult, ...],
+        seconds: float,
+    ) -> Report:
+        """Log the segment, keep its line of history, and tell whether it is the best so far."""
+        config, stage, (flat, *stairs) = self.config, self.stage, results
+        samples = self.segment * config.samples_per_segment
+        assessed = flat.summary
+        assessed_stairs = [result.summary for result in stairs]
+        for name, value in {**summary, **{f"loss/{k}": v for k, v in losses.items()}}.items():
+            writer.add_scalar(f"train/{name}", value, samples)
+        writer.add_scalar("train/rise_m", stage.rise_m, samples)
+        groups = zip(("assess", "stairs", "rough_stairs"), (flat, *stairs), strict=False)
+        for group, result in groups:
+            for name, number in result.summary.items():
+                if not isinstance(number, str):
+                    writer.add_scalar(f"{group}/{name}", number, samples)
+        writer.flush()
+        now = score(stage, results)
+        best = now > self.best_score
+        self.best_score = max(now, self.best_score)
+        line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}
+        self.history.append({**line, "assess": assessed, "assess_stairs": assessed_stairs})
+        self.stage = config.curriculum.after(
+            stage,
+            updates=self.segment * config.updates_per_segment,
+            flat_success=flat.success,
+            stairs_success=stairs[0].success if stairs else 0.0,
+        )
+        return Report(
+            samples=samples,
+            samples_total=config.segments * config.samples_per_segment,
+            samples_per_s=config.samples_per_segment / seconds,
+            seconds_left=(config.segments - self.segment) * seconds,
+            reward=summary["reward"],
+            landing_error_m=summary["landing_error_m"],
+            falls_per_episode=summary["falls_per_episode"],
+            result=flat,
+            stage=stage,
+            stairs=tuple(stairs),
+            best=best,
+        )
+
+    def _policy(self) -> Policy:
+        config = self.config
+        return fitting(
+            self.robot,
+            actor_layers(self.ppo),
+            mujoco_version=mujoco.__version__,
+            trained={
+                "command": self.command,
+                "seed": config.seed,
+                "samples": self.segment * config.samples_per_segment,
+                "git_revision": self._revision,
+                "assessed": self.history[-1]["assess"] if self.history else None,
+                "assessed_stairs": self.history[-1]["assess_stairs"] if self.history else None,
+                "rise_m": self.history[-1]["rise_m"] if self.history else 0.0,
+                "config": asdict(config),
+            },
+        )
+
+    def save_checkpoint(self) -> None:
+        """Write everything that is needed to go on.
+
+        Raises:
+            OSError: it cannot be written; the one that was there stays.
+        """
+        state = Checkpoint(
+            segment=self.segment,
+            stage=self.stage,
+            best_score=self.best_score,
+            history=self.history,
+            learner=self.ppo.save(),
+        )
+        write_checkpoint(self.out, self.config, self.robot, state)
+
+    def resume(self) -> None:
+        """Take up the folder's checkpoint.
+
+        Raises:
+            TrainingError: there is none, it cannot be read, or it is of another configuration.
+        """
+        state = read_checkpoint(self.out, self.config, self.robot)
+        try:
+            self.ppo.load(state.learner, None, True)
+        except (RuntimeError, KeyError, ValueError) as error:  # shapes differ, or parts are missing
+            raise TrainingError(
+                f"the checkpoint in {self.out} is from another layout: its networks do not fit "
+                f"{self.robot.name} as it is now"
+            ) from error
+        self.segment, self.stage = state.segment, state.stage
+        self.best_score, self.history = state.best_score, state.history

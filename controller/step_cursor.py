@@ -1,0 +1,181 @@
+"""Which step of its plan each robot is at.
+
+A track is a plan with the feet it starts from in front, so that every step has the stance it
+leaves: entry 0 is the starting place of the foot that moves first, entry 1 that of the other,
+entry 2 + k is step k. The window on the track is driven by the gait clock: it moves on when a
+step's period ends. So the side of each step and the phase of the gait always agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from controller.gait import GaitTicks, clock, support_indicator
+from planner.robot_model import Side
+
+STANCE = 2  # entries of a track before its first step
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """The feet at the start and the steps to take.
+
+    `side` (STANCE + N,) alternates; `pose_world` (STANCE + N, 4) is x_m, y_m, z_m, yaw_rad.
+    """
+
+    side: np.ndarray
+    pose_world: np.ndarray
+
+    @classmethod
+    def of(cls, start_feet_world: np.ndarray, side: np.ndarray, pose_world: np.ndarray) -> Track:
+        """A track from both feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
+
+        Raises:
+            ValueError: the steps do not alternate between left and right.
+        """
+        if np.any(np.diff(side) == 0):
+            raise ValueError("steps must alternate between left and right")
+        first = Side(int(side[0])) if len(side) else Side.LEFT
+        order = np.array([first, 1 - first])
+        return cls(
+            side=np.concatenate([order, side]),
+            pose_world=np.concatenate([start_feet_world[order], pose_world]),
+        )
+
+
+class StepCursor:
+    """The present step of each of B robots, and where in its gait period each is.
+
+    `entry` (B,) is the track entry that the window shows first. While a robot walks, this is
+    the step whose foot swings (or has just landed); `tick` (B,) counts from its lift-off.
+    While it stands, the window shows the two feet it stands on.
+    """
+
+    def __init__(self, ticks: GaitTicks, count: int, capacity: int):
+        self.ticks = ticks
+        self._rows = np.arange(count)
+        self._side = np.zeros((count, STANCE + capacity + 1), dtype=np.int64)
+        self._pose = np.zeros((count, STANCE + capacity + 1, 4))
+        self._steps = np.zeros(count, dtype=np.int64)
+        self._wait = np.zeros(count, dtype=np.int64)
+        self.entry = np.zeros(count, dtype=np.int64)
+        self.tick = np.zeros(count, dtype=np.int64)
+        self.standing = np.ones(count, dtype=bool)
+
+    def follow(self, row: int, track: Track, *, wait_ticks: int = 0, walking: bool = False) -> None:
+        """Let robot `row` follow a track from its beginning.
+
+        It stands for `wait_ticks`, then shifts its weight during one double support, then
+        takes the first step. With `walking` its feet are both down in mid-walk: it lifts the
+        first foot at once.
+        """
+        steps = len(track.side) - STANCE
+        end = STANCE + steps
+        if end + 1 > self._side.shape[1]:
+            grown = end + 1 - self._side.shape[1]
+            self._side = np.pad(self._side, ((0, 0), (0, grown)))
+            self._pose = np.pad(self._pose, ((0, 0), (0, grown), (0, 0)))
+        self._side[row, :end], self._pose[row, :end] = track.side, track.pose_world
+        # Past the last step the window shows the foot that is standing there already.
+        self._side[row, end], self._pose[row, end] = track.side[-2], track.pose_world[-2]
+        self._steps[row] = steps
+        self._wait[row] = wait_ticks
+        self.standing[row] = steps == 0 or not walking
+        self.entry[row] = STANCE if walking and steps else 0
+        self.tick[row] = 0
+
+    def advance(self) -> np.ndarray:
+        """Let one control tick pass; true (B,) where the period of a step has just ended.
+
+        The weight shift before the first step is not a step.
+        """
+        walking = ~self.standing
+        self.tick[walking] += 1
+        ended = walking & (self.tick >= self.ticks.step)
+        stepped = ended & (self.entry >= STANCE)
+        self.entry[ended] += 1
+        self.tick[ended] = 0
+        arrived = ended & (self.entry == STANCE + self._steps)
+        self.standing[arrived] = True
+        self.entry[arrived] -= STANCE
+        self._set_off()
+        return stepped
+
+    def _set_off(self) -> None:
+        """Start the gait of robots whose wait is over, at the double support before a swing."""
+        waiting = self.standing & (self.entry == 0) & (self._steps > 0)
+        self._wait[waiting] -= 1
+        start = waiting & (self._wait < 0)
+        self.standing[start] = False
+        self.entry[start] = STANCE - 1
+        self.tick[start] = self.ticks.swing
+
+    @property
+    def step_number(self) -> np.ndarray:
+        """Steps completed or under way (B,): 0 before the first swing."""
+        return np.clip(self.entry - STANCE + 1 + STANCE * self.arrived, 0, self._steps)
+
+    @property
+    def arrived(self) -> np.ndarray:
+        """True (B,) where the last step has been taken and the robot stands."""
+        return self.standing & ((self.entry > 0) | (self._steps == 0))
+
+    @property
+    def swinging(self) -> np.ndarray:
+        """True (B,) while a foot is in its swing."""
+        return ~self.standing & (self.tick < self.ticks.swing)
+
+    @property
+    def side(self) -> np.ndarray:
+        """The foot of the step in the window's first place (B,)."""
+        return self._side[self._rows, self.entry]
+
+    @property
+    def window(self) -> np.ndarray:
+        """Poses in the world of the present and the next step (B, 2, 4)."""
+        entries = self.entry[:, None] + np.arange(2)
+        return self._pose[self._rows[:, None], entries]
+
+    @property
+    def foot_targets(self) -> np.ndarray:
+        """Where each foot should be now (B, 2, 4), left then right.
+
+        The swing foot's is the present step, the support foot's the step before it; of a
+        standing robot both are where it stands.
+        """
+        other = np.where(self.standing, self.entry + 1, self.entry - 1)
+        targets = np.empty((len(self._rows), 2, 4))
+        side = self.side
+        targets[self._rows, side] = self._pose[self._rows, self.entry]
+        targets[self._rows, 1 - side] = self._pose[self._rows, other]
+        return targets
+
+    @property
+    def lift_off_poses(self) -> np.ndarray:
+        """Where the foot of the window's first step stood before it (B, 4)."""
+        return self._pose[self._rows, np.maximum(self.entry - STANCE, 0)]
+
+    @property
+    def stances(self) -> np.ndarray:
+        """Both feet (B, 3, 2, 4) of the stance before the present step, of that after it, and next.
+
+        In the order in which the feet move. Before the first step and after the last one there is
+        no farther stance than the one that the robot stands in.
+        """
+        after = np.where(self.standing, self.entry, self.entry - 1)
+        next_ = np.where(self.standing, self.entry, np.minimum(self.entry, self._steps))
+        before = np.where(self.standing, self.entry, np.maximum(self.entry - STANCE, 0))
+        entries = np.stack([before, after, next_], axis=1)[..., None] + np.arange(2)
+        return self._pose[self._rows[:, None, None], entries]
+
+    @property
+    def clock(self) -> np.ndarray:
+        """Sine and cosine of the gait phase (B, 2)."""
+        return clock(self.ticks, self.side, self.tick, self.standing)
+
+    @property
+    def support_indicator(self) -> np.ndarray:
+        """How much each foot should bear weight (B, 2), in [-1, 1], left then right."""
+        return support_indicator(self.ticks, self.side, self.tick, self.standing)

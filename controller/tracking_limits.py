@@ -1,0 +1,121 @@
+"""What a policy was measured to do, stored beside its weights, and what planning makes of it.
+
+`NAME.measured.json` lies beside `NAME.safetensors` and holds for those weights alone. `evaluate`
+writes it. Reading it loads neither torch nor MuJoCo.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from controller.policy import POLICY_FOLDER, PolicyError
+from planner.robot_model import StepLimits, StepModel
+from sim.robot import Robot
+
+FORMAT = "measured-follower/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """What planning needs to know of the robot that follows.
+
+    `limits`: all steps within them together succeed in at least 99 % of walks. `foot_margin_m`
+    covers the 99th percentile of how far any point of a sole comes down from its place,
+    `body_margin_m` how far the body sways beyond its box. `evidence` says how that was measured.
+    """
+
+    robot: str
+    policy_sha256: str
+    limits: StepLimits
+    foot_margin_m: float
+    body_margin_m: float
+    evidence: dict[str, Any] = field(default_factory=dict)
+
+
+def measured_path(policy_path: Path | None, robot: Robot) -> Path:
+    """Where the measurements of a policy are, by default of the robot's own."""
+    policy_path = policy_path or POLICY_FOLDER / f"{robot.name}.safetensors"
+    return policy_path.with_suffix(".measured.json")
+
+
+def to_text(measured: Measured) -> str:
+    """The text of the file."""
+    return json.dumps({"format": FORMAT, **asdict(measured)}, indent=1) + "\n"
+
+
+def load_measured(robot: Robot, policy_path: Path | None = None) -> Measured | None:
+    """What was measured of a policy; None where nothing was, or it was of other weights.
+
+    Raises:
+        PolicyError: the file cannot be read or is of another robot.
+    """
+    path = measured_path(policy_path, robot)
+    about_path = path.with_name(path.name.removesuffix(".measured.json") + ".json")
+    if not (path.is_file() and about_path.is_file()):
+        return None
+    try:
+        values = json.loads(path.read_text())
+        weights = json.loads(about_path.read_text())["sha256"]
+        if values.pop("format") != FORMAT:
+            raise ValueError(f"its format is not {FORMAT}")
+        measured = Measured(limits=limits_from(values.pop("limits")), **values)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise PolicyError(f"{path} cannot be read ({error}): evaluate the policy again") from error
+    if measured.robot != robot.name:
+        raise PolicyError(f"{path} was measured on {measured.robot}, not on {robot.name}")
+    return measured if measured.policy_sha256 == weights else None
+
+
+def limits_from(document: Mapping[str, Any]) -> StepLimits:
+    """Step limits as JSON holds them.
+
+    Raises:
+        ValueError, TypeError: the document holds no step limits.
+    """
+    values = dict(document)
+    reach_m = tuple((x_m, y_m) for x_m, y_m in values.pop("reach_m", ()))
+    intervals = {name: (low, high) for name, (low, high) in values.items()}
+    return StepLimits(**intervals, reach_m=reach_m)
+
+
+def planning_model(model: StepModel, measured: Measured) -> StepModel:
+    """The step model with measured limits and margins; steps outside the limits are dropped.
+
+    The polygon of the step model stays where it has one.
+
+    Raises:
+        ValueError: no step is left, or the stance lies outside the limits.
+    """
+    reach_m = model.limits.reach_m or measured.limits.reach_m
+    limits = replace(measured.limits, reach_m=reach_m)
+    steps = tuple(step for step in model.steps if limits.contain(step))
+    return replace(
+        model,
+        limits=limits,
+        steps=steps,
+        foot_margin_m=measured.foot_margin_m,
+        body_margin_m=measured.body_margin_m,
+    )
+
+
+def as_measured(robot: Robot, policy_path: Path | None = None) -> Robot:
+    """The robot with the step model that its policy was measured to walk, where it was.
+
+    Raises:
+        PolicyError: what was measured cannot be read or used.
+    """
+    measured = load_measured(robot, policy_path)
+    if measured is None:
+        return robot
+    try:
+        model = planning_model(robot.step_model, measured)
+    except ValueError as error:
+        path = measured_path(policy_path, robot)
+        raise PolicyError(f"{path} does not fit {robot.name}: {error}") from error
+    # What is trained on stays as the robot's file says.
+    trained = robot.training_model.limits
+    return replace(robot, step_model=model, training_limits=trained)

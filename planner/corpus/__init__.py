@@ -1,0 +1,1 @@
+"""The corpus of plans: random problems, the file of their plans, and its check."""

@@ -1,0 +1,228 @@
+"""2D path cost from the goal over the body's cells: the part D of the heuristic of `guide.py`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.heuristics.goal_table import Endgame
+from planner.heuristics.potential import Potential
+from planner.heuristics.wavefront import (
+    EVERYWHERE,
+    NO_CELLS,
+    NOT_DRAWN,
+    NOWHERE_UM,
+    SHUT_CELL,
+    Ahead,
+    ahead_of,
+    ahead_um,
+    all_ahead_um,
+    moves_of,
+    spread_costs,
+)
+from planner.jit import lean
+from planner.lattice.lattice import Int64s, Space
+
+_LARGE = 1 / 8
+MARGIN_MOVES = 8  # with these there is room for steps
+
+
+class BodyPath(NamedTuple):
+    """Path costs (rows * cols,) in micrometres + 1; 0 or less where no path leads.
+
+    frontier_um: the cost that cells without a path count as.
+    """
+
+    cost_um: NDArray[np.int32]
+    frontier_um: int
+
+
+class Strip(NamedTuple):
+    """Path costs (rows * cols,) as in `BodyPath`, exact where they are low enough to be settled.
+
+    ahead: the straight way to the start, by which the search was drawn there. settled_um: every
+    cell whose cost and straight way add up to less has its least cost; no cell that was not come to
+    costs less than this, its straight way taken off.
+    """
+
+    cost_um: NDArray[np.int32]
+    settled_um: int
+    cols: int
+    ahead: Ahead
+
+    @property
+    def is_large(self) -> bool:
+        """Whether paths lead over so much of the map that to look through it all takes long."""
+        return int(np.count_nonzero(self.cost_um > 0)) > _LARGE * len(self.cost_um)
+
+    def reaches_any(self, cells: Int64s) -> bool:
+        """Whether a path leads to one of the cells (n,)."""
+        return bool(np.any(self.cost_um[cells] > 0))
+
+    def least_um(self, cells: Int64s) -> Int64s:
+        """What a path from each cell (n,) costs at least."""
+        cost_um = self.cost_um[cells].astype(np.int64) - 1
+        away_um = all_ahead_um(self.ahead, self.cols, cells)
+        unsettled = (cost_um < 0) | (cost_um + away_um >= self.settled_um)
+        return np.where(unsettled, np.maximum(self.settled_um - away_um, 0), cost_um)
+
+
+def path_toward(
+    space: Space, guide: Potential, cells: Int64s, *, margin_moves: int = MARGIN_MOVES
+) -> Strip:
+    """Path costs from the goal in the strip of cells through which A* looks for the cells (n,).
+
+    margin_moves: by how many moves the paths through the strip may be longer than need be.
+    """
+    ahead = ahead_of(space, guide, cells)
+    beyond_um = ahead.slack_um + margin_moves * ahead.level_um
+    cost_um = np.zeros(space.cols * space.rows, np.int32)
+    seeds = np.array([space.origin_row * space.cols + space.origin_col]), np.array([0])
+    moves = moves_of(guide)
+    settled_um = spread_costs(space, cost_um, *seeds, moves, cells, beyond_um, EVERYWHERE, ahead)
+    return Strip(cost_um, settled_um, space.cols, ahead)
+
+
+def leads_to_goal(space: Space, guide: Potential, cells: Int64s) -> bool:
+    """Whether a path leads from one of the cells (n,) to the goal, looked for from the cells.
+
+    Where obstacles enclose them that is known at once, however large the rest of the map is.
+    """
+    goal = np.array([space.origin_row * space.cols + space.origin_col])
+    cost_um, none_um = np.zeros(space.cols * space.rows, np.int32), np.zeros_like(cells)
+    ahead = ahead_of(space, guide, goal)
+    spread_costs(space, cost_um, cells, none_um, moves_of(guide), goal, 0, EVERYWHERE, ahead)
+    return bool(cost_um[goal[0]] > 0)
+
+
+@lean
+def raise_by_arrival(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    start: int,
+    ahead: Ahead,
+    inside: NDArray[np.bool_],
+    arrive_um: Int64s,
+    exact_um: int,
+) -> int:
+    """Adds to all path costs what it costs to arrive from there (see `facing.py`).
+
+    From a cell whose path to the goal is straight and within the ring of the endgame the table says
+    it; up to exact_um the search looks there itself. All other ways arrive like that from the
+    start, which is also what is returned.
+    """
+    far_um = 0
+    cols, reach = space.cols, len(inside) // 2
+    cell = start
+    while cell >= 0:
+        row, col = cell // cols, cell % cols
+        if _is_straight(row, col, cost_um[cell], ahead, inside):
+            far_um = arrive_um[row - ahead.row + reach, col - ahead.col + reach]
+            break
+        cell = _downhill(space, cost_um, cell)
+    for row in range(space.rows):
+        for col in range(cols):
+            path_um = cost_um[row * cols + col]
+            if path_um <= 0:
+                continue
+            if not _is_straight(row, col, path_um, ahead, inside):
+                cost_um[row * cols + col] += far_um
+            elif path_um > exact_um:
+                arrive = arrive_um[row - ahead.row + reach, col - ahead.col + reach]
+                cost_um[row * cols + col] += arrive
+    return far_um
+
+
+@lean
+def _is_straight(row: int, col: int, path_um: int, ahead: Ahead, inside: NDArray[np.bool_]) -> bool:
+    """Whether a cell's path to the goal is straight and within the ring of the endgame."""
+    reach = len(inside) // 2
+    up, across = row - ahead.row + reach, col - ahead.col + reach
+    if not (0 <= across <= 2 * reach and 0 <= up <= 2 * reach and inside[up, across]):
+        return False
+    return path_um - 1 <= ahead_um(ahead, col, row)
+
+
+@lean
+def _downhill(space: Space, cost_um: NDArray[np.int32], cell: int) -> int:
+    """The cheapest cell two around; -1 where none is cheaper."""
+    best = cell
+    for row in range(-2, 3):
+        for col in range(-2, 3):
+            near = cell + row * space.cols + col
+            if 0 < cost_um[near] < cost_um[best]:
+                best = near
+    return best if best != cell else -1
+
+
+def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPath:
+    """Path costs of the body's cells to the goal, over the whole map.
+
+    The larger of two bounds: the cost of the path to the goal's cell, and outside the ring of the
+    endgame the least cost of a path to a cell of the ring plus what is exact from there.
+    """
+    goal = space.origin_row * space.cols + space.origin_col
+    cost_um = _spread_everywhere(space, guide, np.array([goal]), np.array([0]))
+    cells, costs_um = ring_on_map(space, endgame)
+    if len(cells):
+        # Cells that are shut are known by now.
+        shut_um = np.where(cost_um == SHUT_CELL, cost_um, np.int32(0))
+        ring_um = _spread_everywhere(space, guide, cells, costs_um, shut_um)
+        _raise_outside(space, cost_um, ring_um, endgame.inside)
+    return BodyPath(cost_um, NOWHERE_UM)
+
+
+def least_in_cells(cells: Int64s, values_um: Int64s) -> tuple[Int64s, Int64s]:
+    """Each of the cells (n,) once, in rising order, and the least of the values (n,) there."""
+    once, index = np.unique(cells, return_inverse=True)
+    least_um = np.full(len(once), np.iinfo(np.int64).max)
+    np.minimum.at(least_um, index, values_um)
+    return once, least_um
+
+
+def spread_from(space: Space, guide: Potential, cells: Int64s, costs_um: Int64s) -> BodyPath:
+    """Path costs of the body's cells from any of the cells (n,), each with its own cost."""
+    return BodyPath(_spread_everywhere(space, guide, cells, costs_um), NOWHERE_UM)
+
+
+def _spread_everywhere(
+    space: Space,
+    guide: Potential,
+    cells: Int64s,
+    costs_um: Int64s,
+    shut_um: NDArray[np.int32] | None = None,
+) -> NDArray[np.int32]:
+    """Path costs (rows * cols,) from cells (n,), in the array given, where shut cells are known."""
+    cost_um = np.zeros(space.cols * space.rows, np.int32) if shut_um is None else shut_um
+    moves = moves_of(guide)
+    spread_costs(space, cost_um, cells, costs_um, moves, NO_CELLS, 0, EVERYWHERE, NOT_DRAWN)
+    return cost_um
+
+
+def ring_on_map(space: Space, endgame: Endgame) -> tuple[Int64s, Int64s]:
+    """Cells (n,) of the endgame's ring that lie on the lattice, and their costs."""
+    col = endgame.ring[:, 0] + space.origin_col
+    row = endgame.ring[:, 1] + space.origin_row
+    on_map = (col >= 0) & (row >= 0) & (col < space.cols) & (row < space.rows)
+    return (row * space.cols + col)[on_map], endgame.ring[on_map, 2]
+
+
+@lean
+def _raise_outside(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    ring_um: NDArray[np.int32],
+    inside: NDArray[np.bool_],
+) -> None:
+    """Raises costs outside the ring to those by way of the ring."""
+    reach = len(inside) // 2
+    for row in range(space.rows):
+        up = row - space.origin_row + reach
+        for col in range(space.cols):
+            cell, across = row * space.cols + col, col - space.origin_col + reach
+            if 0 <= up <= 2 * reach and 0 <= across <= 2 * reach and inside[up, across]:
+                continue
+            if cost_um[cell] > 0:
+                cost_um[cell] = max(cost_um[cell], ring_um[cell])

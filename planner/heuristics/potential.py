@@ -1,0 +1,182 @@
+"""The heuristic that knows the obstacles: 2D path cost of the body's cell, with potentials.
+
+Each state (foot node, heading, side) has a body cell: the node nearest to the point that lies half
+a stance width inward of the foot. A step moves the body cell by v whole cells. On the grid of body
+cells, with moves to 16 neighbours, v has the length |v| (never below the Euclidean length, at most
+2.8 % above). From the step table follow a rate r (cost per metre) and a potential p per heading and
+side such that for every step of the table, from s to t,
+
+    r * |v| + p(s) - p(t) <= cost(s, t).                                                  (1)
+
+r is the largest for which (1) has a solution, i.e. the least cost per metre of any cycle of steps.
+D is the cost at r of the shortest 16-neighbour path to the goal's cell around cells where no body
+can be. Then
+
+    h(s) = max(0, D(cell(s)) + p(s) - max over sides of p(goal)) + cost of the last step
+
+is consistent, and so admissible: a step from s to t passes body cells that (see `body_reach_m`) lie
+inside one of the boxes that the search itself checks for that step, so D(s) <= r |v| + D(t).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from planner.lattice.steps import MICRO, IntArray, StepTable, final_cost_um, moved_cells
+from planner.robot_model import Side, StepModel
+
+FloatArray = NDArray[np.float64]
+MOVES = np.array(
+    [(c, r) for c in range(-2, 3) for r in range(-2, 3) if max(abs(c), abs(r)) == 1]
+    + [(c, r) for c in range(-2, 3) for r in range(-2, 3) if {abs(c), abs(r)} == {1, 2}]
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Potential:
+    """What the heuristic knows of a robot; made once per step model.
+
+    body_col, body_row (H, 2): the body's cell from the foot's node. rate: cost per metre.
+    potential_um (H, 2): p, the goal's part and the cost of the last step included.
+    move_um (16,): cost of the moves of the 2D search. reach_m: radius around any cell on a step's
+    way that the checked body boxes cover; negative where the boxes leave gaps.
+    """
+
+    body_col: IntArray
+    body_row: IntArray
+    rate: float
+    potential_um: IntArray
+    move_um: IntArray
+    reach_m: float
+
+
+def body_cells(model: StepModel) -> tuple[IntArray, IntArray]:
+    """The body's cell from the foot's node, columns and rows, each (H, 2)."""
+    yaw_rad = np.arange(model.headings)[:, None] * (2 * np.pi / model.headings)
+    inward_m = -np.array([side.outward for side in Side])[None, :] * model.stance_width_m / 2
+    col = -np.sin(yaw_rad) * inward_m / model.cell_m
+    row = (np.cos(yaw_rad) * inward_m - inward_m) / model.cell_m
+    # Rounded to the micrometre first, so a tie does not hang on the last bit of a cosine.
+    cells = np.rint(np.round(np.stack([col, row]), 6)).astype(np.int64)
+    return cells[0], cells[1]
+
+
+def grid_length(cols: ArrayLike, rows: ArrayLike) -> FloatArray:
+    """Length (...) in cells of the shortest path of 16-neighbour moves over (cols, rows)."""
+    across, up = np.abs(np.asarray(cols, float)), np.abs(np.asarray(rows, float))
+    far, near = np.maximum(across, up), np.minimum(across, up)
+    flat = near * np.sqrt(5) + (far - 2 * near)
+    steep = (far - near) * np.sqrt(5) + (2 * near - far) * np.sqrt(2)
+    return np.where(2 * near <= far, flat, steep)
+
+
+def build_potential(model: StepModel, table: StepTable) -> Potential:
+    """Rate and potential of a step table, and the body's reach."""
+    body_col, body_row = body_cells(model)
+    index = np.indices(table.cost_um.shape)
+    heading, side = index[0], index[1]
+    to_heading = (heading + table.d_heading) % model.headings
+    to_side = 1 - side
+    cols, rows = np.moveaxis(moved_cells(table, body_col, body_row), -1, 0)
+    real = table.cost_um > 0
+    length_m = (grid_length(cols, rows) * model.cell_m)[real]
+    cost_um = table.cost_um[real]
+    start, end = (heading * 2 + side)[real], (to_heading * 2 + to_side)[real]
+    rate, potential = _best_rate(length_m, cost_um / MICRO, start, end, 2 * model.headings)
+    potential_um = np.rint(potential * MICRO).astype(np.int64).reshape(-1, 2)
+    # Whole micrometres must satisfy (1) as well: take off the rate what rounding may have added.
+    slack_um = potential_um.reshape(-1)[start] - potential_um.reshape(-1)[end] - cost_um
+    moving = length_m > 0
+    rate = min(rate, float((-slack_um[moving] / MICRO / length_m[moving]).min()))
+    move_um = np.floor(rate * np.linalg.norm(MOVES, axis=1) * model.cell_m * MICRO)
+    return Potential(
+        body_col=body_col,
+        body_row=body_row,
+        rate=rate,
+        potential_um=potential_um - potential_um[0].max() + final_cost_um(model),
+        move_um=move_um.astype(np.int64),
+        reach_m=_reach(model, table, cols, rows),
+    )
+
+
+def _best_rate(
+    length_m: FloatArray, cost_m: FloatArray, start: IntArray, end: IntArray, nodes: int
+) -> tuple[float, FloatArray]:
+    """Largest rate with a potential p (nodes,) such that rate * length + p[start] - p[end] <= cost.
+
+    A rate is possible if the graph has no cycle of negative cost - rate * length; bisection, with
+    Bellman-Ford for each rate.
+    """
+    low, high = 0.0, float((cost_m[length_m > 0] / length_m[length_m > 0]).max()) + 1.0
+    best = np.zeros(nodes)
+    for _ in range(40):
+        rate = (low + high) / 2
+        distance = _shortest(cost_m - rate * length_m, start, end, nodes)
+        if distance is None:
+            high = rate
+        else:
+            low, best = rate, -distance
+    return low, best
+
+
+def _shortest(weight: FloatArray, start: IntArray, end: IntArray, nodes: int) -> FloatArray | None:
+    """Distance d with d[end] <= d[start] + weight everywhere, or None at a negative cycle."""
+    distance = np.zeros(nodes)
+    for _ in range(nodes + 1):
+        better = distance.copy()
+        np.minimum.at(better, end, distance[start] + weight)
+        if np.all(better >= distance - 1e-12):
+            return distance
+        distance = better
+    return None
+
+
+def _reach(model: StepModel, table: StepTable, cols: IntArray, rows: IntArray) -> float:
+    """Least depth over all steps of the cells on its way inside the boxes checked for it."""
+    body_col, body_row = body_cells(model)
+    half_m = np.array([model.body.length_m, model.body.width_m]) / 2 + model.body_margin_m
+    bin_rad = 2 * np.pi / model.headings
+    least = np.inf
+    for heading, side, k in np.argwhere(table.cost_um > 0):
+        index = heading, side, k
+        turn = table.d_heading[index]
+        foot = np.array([0.0, Side(side).outward * model.stance_width_m / 2])
+        move = np.array([table.d_col[index], table.d_row[index]]) * model.cell_m
+        swing = move - foot
+        inward = Side(side).outward * model.stance_width_m / 2
+        yaws = heading * bin_rad + np.array([0.0, turn / 2, turn]) * bin_rad
+        centres = np.array(
+            [
+                foot - inward * np.array([-np.sin(yaws[0]), np.cos(yaws[0])]),
+                (foot + swing) / 2,
+                swing + inward * np.array([-np.sin(yaws[2]), np.cos(yaws[2])]),
+            ]
+        )
+        first = np.array([int(body_col[heading, side]), int(body_row[heading, side])])
+        way = (first + _way(int(cols[index]), int(rows[index]))) * model.cell_m
+        off = way[:, None, :] - centres[None, :, :]
+        along = np.cos(yaws) * off[..., 0] + np.sin(yaws) * off[..., 1]
+        across = -np.sin(yaws) * off[..., 0] + np.cos(yaws) * off[..., 1]
+        depth = np.minimum(half_m[0] - np.abs(along), half_m[1] - np.abs(across))
+        least = min(least, float(depth.max(axis=1).min()))
+    return least
+
+
+def _way(col: int, row: int) -> IntArray:
+    """Cells (n, 2) of a shortest 16-neighbour path from (0, 0) to (col, row), near the line."""
+    goal = np.array([col, row])
+    line = np.array([-row, col])
+    path = [np.zeros(2, np.int64)]
+    while np.any(path[-1] != goal):
+        left = goal - path[-1]
+        total = grid_length(left[0], left[1])
+        ends = path[-1] + MOVES
+        rest = goal - ends
+        cost = np.linalg.norm(MOVES, axis=1) + grid_length(rest[:, 0], rest[:, 1])
+        shortest = np.abs(cost - total) < 1e-9
+        off_line = np.where(shortest, np.abs(ends @ line), np.iinfo(np.int64).max)
+        path.append(ends[int(np.argmin(off_line))])
+    return np.array(path)

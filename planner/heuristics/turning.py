@@ -1,0 +1,197 @@
+"""What turning costs: a bound that looks from a state to the rim of a circle around it.
+
+The 2D path cost D does not know which way the robot faces. But every plan whose goal lies farther
+than R from the body's cell must leave the circle of radius R around it, at some cell n of the rim
+and in some state t there, and goes on from there at no less than D(n) + p(t). So
+
+    h(s) = min over n of [ min over t at n of (c(s, t) - W(n) + p(t)) + W(n) + D(n) ]
+
+never exceeds the cost, where c is the exact cost on an empty map and W the cost of the straight way
+at the rate of D: the first part is what facing the wrong way costs, the second the detour. Rim
+cells are gathered in sectors, with the least of either part in each: the first depends on heading,
+side and sector only and is made once per step model, the second on cell and sector and is made
+when a cell is first asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.heuristics.goal_table import FAR_UM, backward_steps, least_step, longest_move
+from planner.heuristics.potential import Potential, grid_length
+from planner.jit import allocating, lean
+from planner.lattice.pages import in_tiles, tiled, zeros
+from planner.lattice.steps import IntArray, StepTable
+
+SECTORS = 16
+_RADIUS_CELLS = 14
+_RING_CELLS = 2.3  # a path does not pass over so many
+_NO_DETOUR_UM = (1 << 30) + 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exits:
+    """The part of the bound that belongs to a step model.
+
+    turn_um (2 H, SECTORS): the first part, per heading * 2 + side. rim (n, 4): col, row, sector
+    and cost W in micrometres of the cells of the rim, from the circle's centre. ring (m, 4): the
+    nearest of them, enough for an estimate. radius_cells: R.
+    """
+
+    turn_um: IntArray
+    rim: IntArray
+    ring: IntArray
+    radius_cells: int
+
+
+def build_exits(table: StepTable, guide: Potential) -> Exits:
+    """The table of a step model."""
+    hop = longest_move(table, guide)
+    reach = _RADIUS_CELLS + 2 * hop + 2
+    cells = np.arange(-reach, reach + 1)
+    col, row = np.meshgrid(cells, cells)
+    length = grid_length(col, row)
+    # A step moves the body's cell by at most hop along either axis.
+    on_rim = (length > _RADIUS_CELLS) & (np.maximum(abs(col), abs(row)) <= _RADIUS_CELLS + hop)
+    angle = np.arctan2(row, col) / (2 * np.pi) % 1.0
+    sector = np.where(on_rim, np.floor(angle * SECTORS).astype(np.int64) % SECTORS, -1)
+    straight_um = straight_cost(col, row, guide)
+    body = np.stack([guide.body_col.reshape(-1), guide.body_row.reshape(-1)], axis=1)
+    turn_um = np.empty((len(body), SECTORS), np.int64)
+    steps = backward_steps(table)
+    for number in range(SECTORS):
+        _leave(
+            turn_um[:, number],
+            length <= _RADIUS_CELLS,
+            sector == number,
+            straight_um,
+            body,
+            guide.potential_um.reshape(-1),
+            steps,
+        )
+    rim = np.column_stack([v[on_rim] for v in (col, row, sector, straight_um)])
+    ring = rim[length[on_rim] <= _RADIUS_CELLS + _RING_CELLS]
+    return Exits(turn_um=turn_um, rim=rim, ring=ring, radius_cells=_RADIUS_CELLS)
+
+
+def straight_cost(cols: IntArray, rows: IntArray, guide: Potential) -> IntArray:
+    """Cost (...) in micrometres of the shortest 16-neighbour path over free cells."""
+    far, near = np.maximum(abs(cols), abs(rows)), np.minimum(abs(cols), abs(rows))
+    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
+    flat = near * knight_um + (far - 2 * near) * level_um
+    steep = (far - near) * knight_um + (2 * near - far) * diagonal_um
+    return np.where(2 * near <= far, flat, steep).astype(np.int64)
+
+
+@allocating
+def _leave(
+    turn_um: IntArray,
+    inside: NDArray[np.bool_],
+    rim: NDArray[np.bool_],
+    straight_um: IntArray,
+    body: IntArray,
+    potential_um: IntArray,
+    steps: IntArray,
+) -> None:
+    """Least c - W + p over the ways out through one sector, for each row at the centre (2 H,).
+
+    Dijkstra's search backward from all states on the rim, in buckets one least step wide.
+    """
+    rows, most, _ = steps.shape
+    size = len(inside)
+    cost_um = np.full((size, size, rows), FAR_UM, np.int64)
+    low, high = FAR_UM, -FAR_UM
+    for r in range(size):
+        for c in range(size):
+            if rim[r, c]:
+                cost_um[r, c] = potential_um - straight_um[r, c]
+                low, high = min(low, cost_um[r, c].min()), max(high, cost_um[r, c].max())
+    width = least_step(steps)
+    # All that is in a bucket is found by a look at everything, as in `endgame.py`.
+    while low <= high:
+        for r in range(size):
+            for c in range(size):
+                for row in range(rows):
+                    here = cost_um[r, c, row]
+                    if here < low or here >= low + width:
+                        continue
+                    for k in range(most):
+                        if steps[row, k, 3] == 0:
+                            continue
+                        source = steps[row, k, 0]
+                        # Cells here are the body's; steps are between feet.
+                        to_c = c - steps[row, k, 1] - body[row, 0] + body[source, 0]
+                        to_r = r - steps[row, k, 2] - body[row, 1] + body[source, 1]
+                        if not (0 <= to_c < size and 0 <= to_r < size and inside[to_r, to_c]):
+                            continue
+                        cost = here + steps[row, k, 3]
+                        if cost < cost_um[to_r, to_c, source]:
+                            cost_um[to_r, to_c, source] = cost
+                            high = max(high, cost)
+        low += width
+    for row in range(rows):
+        turn_um[row] = cost_um[size // 2, size // 2, row]
+
+
+def no_detours(cols: int, rows: int) -> NDArray[np.int32]:
+    """Room (n, SECTORS), in tiles, for the second part of the bound + 1 of a lattice's cells."""
+    return zeros(tiled(cols, rows) * SECTORS, np.int32).reshape(-1, SECTORS)
+
+
+@lean
+def measure_detours(
+    best_um: NDArray[np.int32],
+    col: int,
+    row: int,
+    cols: int,
+    path_um: NDArray[np.int32],
+    frontier_um: int,
+    rim: IntArray,
+) -> None:
+    """Notes the second part of the bound + 1 of the body at col, row for all sectors (SECTORS,)."""
+    for sector in range(len(best_um)):
+        best_um[sector] = _NO_DETOUR_UM
+    rows = len(path_um) // cols
+    for i in range(len(rim)):
+        c, r = col + rim[i, 0], row + rim[i, 1]
+        if c < 0 or r < 0 or c >= cols or r >= rows:
+            continue
+        path: int = np.int64(path_um[r * cols + c])  # type: ignore[assignment]
+        if path < 0:
+            continue
+        path = min(path - 1, frontier_um) if path > 0 else frontier_um
+        best_um[rim[i, 2]] = min(best_um[rim[i, 2]], path + rim[i, 3] + 1)
+
+
+@lean
+def exit_bound(
+    detour_um: NDArray[np.int32],
+    turn_um: IntArray,
+    path_um: NDArray[np.int32],
+    frontier_um: int,
+    rim: IntArray,
+    circle: tuple[int, int, int, int],
+    body: int,
+    row: int,
+) -> int:
+    """The bound of a state, given the body's cell; 0 where the goal is within the circle.
+
+    detour_um: see `no_detours`. circle: its radius in cells, the lattice's number of columns, and
+    the goal's col and row.
+    """
+    radius, cols, goal_col, goal_row = circle
+    up = body // cols
+    across = body - up * cols
+    # A cell is farther than R along the grid whenever it is along an axis.
+    if max(abs(across - goal_col), abs(up - goal_row)) <= radius:
+        return 0
+    place = in_tiles(across, up, cols)
+    if detour_um[place, 0] == 0:
+        measure_detours(detour_um[place], across, up, cols, path_um, frontier_um, rim)
+    least = FAR_UM
+    for sector in range(SECTORS):
+        least = min(least, turn_um[row, sector] + detour_um[place, sector])
+    return least - 1

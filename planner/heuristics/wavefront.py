@@ -1,0 +1,300 @@
+"""Path costs that spread over the body's cells: one flood for all who ask for them, compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.collision import Terrain, clearance_at, point_clearance
+from planner.heuristics.potential import MOVES, Potential
+from planner.jit import allocating, lean
+from planner.lattice.lattice import Int64s, Space
+
+NOWHERE_UM = 1 << 30
+SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
+EVERYWHERE = np.zeros(0, np.uint8)
+NO_CELLS = np.zeros(0, np.int64)
+_RIM = 2  # cells at the edge of the lattice where no body is
+
+
+class Ahead(NamedTuple):
+    """The straight way from a cell to one at col, row, by what moves cost over free cells.
+
+    slack_um: by how much less the whole counts.
+    """
+
+    col: int
+    row: int
+    level_um: int
+    diagonal_um: int
+    knight_um: int
+    slack_um: int
+
+
+class Queue(NamedTuple):
+    """A ring of buckets, each a stack, of cells to go on from.
+
+    head (2^k,): first entry of each bucket; cells, costs, after (n,): of the entries the cell, its
+    cost + 1 and the next entry. at: how many bits of a key do not count for its bucket, the bucket
+    that is looked at, the last one that will be, and how many entries are used and how many wait.
+    """
+
+    head: Int64s
+    cells: Int64s
+    costs: Int64s
+    after: Int64s
+    at: Int64s
+
+
+SHIFT, BUCKET, LAST, USED, WAITING = range(5)  # entries of Queue.at
+
+
+class Moves(NamedTuple):
+    """Moves around a cell (16, 2), columns and rows, what each costs, and the reach of a body."""
+
+    around: Int64s
+    cost_um: Int64s
+    reach_m: float
+
+
+NOT_DRAWN = Ahead(0, 0, 0, 0, 0, 0)
+
+
+def moves_of(guide: Potential) -> Moves:
+    """How paths of a robot's body move, and what that costs."""
+    return Moves(MOVES, guide.move_um, guide.reach_m)
+
+
+@lean
+def ahead_um(ahead: Ahead, col: int, row: int) -> int:
+    """Cost of the straight way from a cell, less the slack."""
+    if ahead.level_um == 0:
+        return 0
+    across, up = abs(col - ahead.col), abs(row - ahead.row)
+    far, near = max(across, up), min(across, up)
+    if 2 * near <= far:
+        cost = near * ahead.knight_um + (far - 2 * near) * ahead.level_um
+    else:
+        cost = (far - near) * ahead.knight_um + (2 * near - far) * ahead.diagonal_um
+    return max(cost - ahead.slack_um, 0)
+
+
+@allocating
+def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
+    """`ahead_um` of cells (n,)."""
+    values_um = np.empty(len(cells), np.int64)
+    for i in range(len(cells)):
+        values_um[i] = ahead_um(ahead, cells[i] % cols, cells[i] // cols)
+    return values_um
+
+
+def ahead_of(space: Space, guide: Potential, cells: Int64s) -> Ahead:
+    """The straight way to the nearest of some cells (n,), or less."""
+    col, row = (int(v.min() + v.max()) // 2 for v in (cells % space.cols, cells // space.cols))
+    level_um, diagonal_um, knight_um = sorted(set(guide.move_um.tolist()))
+    ahead = Ahead(col, row, level_um, diagonal_um, knight_um, 0)
+    # By how much the straight way to one of the cells may be shorter than that to their middle.
+    return ahead._replace(slack_um=int(all_ahead_um(ahead, space.cols, cells).max()))
+
+
+@allocating
+def spread_costs(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    seeds: Int64s,
+    seed_um: Int64s,
+    moves: Moves,
+    wanted: Int64s,
+    beyond_um: int,
+    mask: NDArray[np.uint8],
+    ahead: Ahead,
+) -> int:
+    """Path costs + 1 from the seeds (n,), each with its own cost, in order of cost and way ahead.
+
+    cost_um (rows * cols,): filled in, SHUT_CELL where no body can be; what is SHUT_CELL already
+    stays so. wanted (k,): the end comes so much after the first of these has its cost; with none
+    all is done. mask (rows * cols,): cells that costs may spread to, all for (0,). ahead: NOT_DRAWN
+    for Dijkstra's search, else A*. A ring of buckets; in one, cells are done in any order.
+
+    Returns NOWHERE_UM once no cell is left; else what the cost and the way ahead of any cell that
+    was not done add up to at least.
+    """
+    queue = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
+    while not _spread_on(space, cost_um, moves, wanted, beyond_um, mask, ahead, queue):
+        queue = _with_more_room(queue)
+    return NOWHERE_UM if queue.at[WAITING] == 0 else queue.at[BUCKET] << queue.at[SHIFT]
+
+
+@lean
+def _spread_on(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    moves: Moves,
+    wanted: Int64s,
+    beyond_um: int,
+    mask: NDArray[np.uint8],
+    ahead: Ahead,
+    queue: Queue,
+) -> bool:
+    """As `spread_costs` from what is in the queue; whether it came to the end within its room."""
+    # In local names: taken from the tuples in the loop they cost more than the loop itself.
+    around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
+    head, cells, costs, after, at = queue.head, queue.cells, queue.costs, queue.after, queue.at
+    cols, ring, shift, bucket = space.cols, len(head) - 1, at[SHIFT], at[BUCKET]
+    clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
+    plane = space.frame, space.cell_m, space.origin_col, space.origin_row
+    used, waiting, room = at[USED], at[WAITING], len(cells) - len(move_um)
+    while waiting > 0:
+        if at[LAST] < 0:
+            for i in range(len(wanted)):
+                if cost_um[wanted[i]] > 0:
+                    at[LAST] = bucket + (beyond_um >> shift)
+        elif bucket > at[LAST]:
+            break
+        entry = head[bucket & ring]
+        while entry >= 0 and used <= room:
+            cell, here = cells[entry], costs[entry]
+            entry = after[entry]
+            waiting -= 1
+            if cost_um[cell] != here:
+                continue  # it came to cost less
+            row = cell // cols
+            col = cell - row * cols
+            for move in range(len(move_um)):
+                to_col, to_row = col + around[move, 0], row + around[move, 1]
+                near, there = to_row * cols + to_col, here + move_um[move]
+                old = np.int64(cost_um[near])
+                if 0 != old <= there:
+                    continue  # as it is if it is shut
+                if old == 0:
+                    x, y = _on_map(plane, to_col, to_row)
+                    shut = len(mask) > 0 and mask[near] == 0
+                    if clearance_at(clearance_m, size_m, x, y) <= max(reach_m, 0.0):
+                        shut = shut or _is_shut(space, to_col, to_row, reach_m)
+                    if shut:
+                        cost_um[near] = SHUT_CELL
+                        continue
+                cost_um[near] = there
+                slot = (there - 1 + ahead_um(ahead, to_col, to_row)) >> shift & ring
+                cells[used], costs[used] = near, there
+                if slot == bucket & ring:
+                    # It is due in this very turn.
+                    after[used], entry = entry, used
+                else:
+                    after[used], head[slot] = head[slot], used
+                used += 1
+                waiting += 1
+        head[bucket & ring] = entry
+        at[BUCKET], at[USED], at[WAITING] = bucket, used, waiting
+        if entry >= 0:
+            return False
+        bucket += 1
+        at[BUCKET] = bucket
+    return True
+
+
+@allocating
+def _with_more_room(queue: Queue) -> Queue:
+    """The queue with room for twice as many entries."""
+    cells, costs, after = queue.cells, queue.costs, queue.after
+    return Queue(
+        queue.head,
+        np.concatenate((cells, np.empty_like(cells))),
+        np.concatenate((costs, np.empty_like(costs))),
+        np.concatenate((after, np.empty_like(after))),
+        queue.at,
+    )
+
+
+@allocating
+def _queue_seeds(
+    space: Space,
+    cost_um: NDArray[np.int32],
+    seeds: Int64s,
+    seed_um: Int64s,
+    moves: Moves,
+    ahead: Ahead,
+) -> Queue:
+    """The queue with the seeds in it."""
+    shift = 0
+    while 2 << shift <= moves.cost_um.min():
+        shift += 1
+    key_um = np.empty(len(seeds), np.int64)
+    low, high = NOWHERE_UM, 0
+    for i in range(len(seeds)):
+        row = seeds[i] // space.cols
+        key_um[i] = seed_um[i] + ahead_um(ahead, seeds[i] - row * space.cols, row)
+        low, high = min(low, key_um[i]), max(high, key_um[i])
+    # The way ahead changes by no more than a move costs.
+    span = (2 * moves.cost_um.max() + max(high - low, 0) >> shift) + 2
+    ring = 1
+    while ring < span:
+        ring *= 2
+    head = np.full(ring, -1, np.int64)
+    room = max(1 << 13, 2 * len(seeds))
+    cells, costs, after = (
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+        np.empty(room, np.int64),
+    )
+    used = 0
+    for i in range(len(seeds)):
+        cell, slot = seeds[i], key_um[i] >> shift & ring - 1
+        if cost_um[cell] == SHUT_CELL or cell_shut(space, cell, moves.reach_m):
+            continue
+        cost_um[cell] = seed_um[i] + 1
+        cells[used], costs[used] = cell, seed_um[i] + 1
+        after[used], head[slot] = head[slot], used
+        used += 1
+    return Queue(head, cells, costs, after, np.array([shift, low >> shift, -1, used, used]))
+
+
+@lean
+def _on_map(
+    plane: tuple[tuple[float, float, float, float], float, int, int], col: int, row: int
+) -> tuple[float, float]:
+    """A cell's point in the grid frame."""
+    (ox, oy, cos, sin), cell_m, origin_col, origin_row = plane
+    x, y = (col - origin_col) * cell_m, (row - origin_row) * cell_m
+    return ox + cos * x - sin * y, oy + sin * x + cos * y
+
+
+@lean
+def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
+    """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
+    row = cell // space.cols
+    return _is_shut(space, cell - row * space.cols, row, reach_m)
+
+
+@lean
+def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
+    if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
+        return True
+    plane = space.frame, space.cell_m, space.origin_col, space.origin_row
+    x, y = _on_map(plane, col, row)
+    return is_nearer(space.terrain, x, y, reach_m)
+
+
+@lean
+def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
+    """Whether blocked ground or the map's edge is nearer to a point than reach_m, exactly.
+
+    Never for a reach of 0 or less.
+    """
+    if reach_m <= 0.0 or point_clearance(terrain, x, y) >= reach_m:
+        return False
+    size = terrain.resolution_m
+    rows, cols = terrain.blocked.shape
+    if min(x, y, cols * size - x, rows * size - y) < reach_m:
+        return True
+    for row in range(math.floor((y - reach_m) / size), math.floor((y + reach_m) / size) + 1):
+        dy = max(row * size - y, y - (row + 1) * size, 0.0)
+        for col in range(math.floor((x - reach_m) / size), math.floor((x + reach_m) / size) + 1):
+            if row < rows and col < cols and terrain.blocked[row, col]:
+                dx = max(col * size - x, x - (col + 1) * size, 0.0)
+                if dx * dx + dy * dy < reach_m * reach_m:
+                    return True
+    return False

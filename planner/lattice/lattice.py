@@ -1,0 +1,321 @@
+"""The lattice laid over one map for one goal, as plain arrays that the compiled search reads.
+
+Nodes are numbered ((row * cols + col) * headings + heading) * 2 + side, with row and col counted
+from a corner so that the whole map and a rim of one step around it have numbers 0 and up. The rim
+is never free, so no step of the search leaves the arrays.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maps.grid import OccupancyGrid
+from planner.collision import Terrain, box_free, clearance_at, point_clearance
+from planner.ground_heights import box_heights
+from planner.jit import lean
+from planner.lattice.pages import zeros
+from planner.lattice.slots import Slots, slots_for, take_slot
+from planner.lattice.steps import MICRO, StepTable
+from planner.robot_model import StepModel
+
+UNKNOWN, FREE, BLOCKED = 0, 1, 2
+_PAIR_SLOTS = 1 << 15
+
+Int32s = NDArray[np.int32]
+Int64s = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+# Columns of Space.steps
+COST_UM, D_COL, D_ROW, D_NODE, D_CELL, TO_ROW, D_HALF, HALF_HEADING = range(8)
+
+
+class Space(NamedTuple):
+    """Geometry of the lattice over a map, and the caches of its checks.
+
+    steps (2 H, K, 8): the step table; row heading * 2 + side is the support foot's. COST_UM: 0 for
+    no step. D_COL, D_ROW, D_NODE, D_CELL: differences of columns, rows and numbers. TO_ROW: row of
+    the swing foot. D_HALF: the cells' difference for the midpoint of the feet on the grid of half
+    cells. HALF_HEADING: mean heading in half bins.
+    cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
+    pair pose in the grid frame. origin: col, row of the goal's cell. foot, body: half lengths and
+    half widths, margins included. clearance: see `_clearance`.
+    tread: half box of a foot with the margin on which the ground must be level. sole: without
+    any. swing_reach_m: how far from a foot a step may pass over ground. climb_um: see `_climb`.
+    slots: where arrays over the nodes have what is known of each. node_state (slots,): UNKNOWN,
+    FREE or BLOCKED. node_um (slots,): height of the ground under each node that was found free, in
+    micrometres; (0,) where the floor is flat. pair_key: see `pair_free`.
+    """
+
+    terrain: Terrain
+    steps: Int64s
+    cols: int
+    rows: int
+    headings: int
+    origin_col: int
+    origin_row: int
+    cell_m: float
+    frame: tuple[float, float, float, float]
+    half_stance_m: float
+    foot: tuple[float, float]
+    body: tuple[float, float]
+    clearance: tuple[float, float, float]
+    cos: Floats
+    sin: Floats
+    slots: Slots
+    node_state: NDArray[np.uint8]
+    pair_key: Int64s
+    tread: tuple[float, float]
+    sole: tuple[float, float]
+    swing_reach_m: float
+    climb_um: tuple[int, int, int, int]
+    node_um: NDArray[np.int32]
+
+    @property
+    def nodes(self) -> int:
+        """How many nodes there are."""
+        return self.cols * self.rows * self.headings * 2
+
+
+def build_steps(table: StepTable, cols: int) -> Int64s:
+    """The step table (2 H, K, 8) as number differences on a lattice of so many columns."""
+    headings, _, most = table.cost_um.shape
+    index = np.indices(table.cost_um.shape)
+    heading, side = index[0], index[1]
+    to_row = (heading + table.d_heading) % headings * 2 + 1 - side
+    d_cell = table.d_row * cols + table.d_col
+    columns = [
+        table.cost_um,
+        table.d_col,
+        table.d_row,
+        d_cell * headings * 2 + to_row - (heading * 2 + side),
+        d_cell,
+        to_row,
+        table.d_row * 2 * cols + table.d_col,
+        (2 * heading + table.d_heading) % (2 * headings),
+    ]
+    return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(2 * headings, most, 8))
+
+
+def turned_round(steps: Int64s) -> Int64s:
+    """Steps (2 H, K', 8) by the row in which they end, as `Space.steps` by that of their begin."""
+    from_row, number = np.nonzero(steps[..., COST_UM])
+    back = steps[from_row, number]
+    to_row = back[:, TO_ROW].copy()
+    # A pair pose lies halfway: as far back from the one foot as on from the other.
+    back[:, [D_COL, D_ROW, D_NODE, D_CELL, D_HALF]] *= -1
+    back[:, TO_ROW] = from_row
+    order = np.argsort(to_row, kind="stable")
+    to_row, back = to_row[order], back[order]
+    place = np.arange(len(back)) - np.searchsorted(to_row, to_row)
+    turned = np.zeros((len(steps), int(place.max()) + 1, steps.shape[2]), np.int64)
+    turned[to_row, place] = back
+    return turned
+
+
+def build_space(
+    grid: OccupancyGrid,
+    terrain: Terrain,
+    model: StepModel,
+    table: StepTable,
+    goal: tuple[float, float, float],
+) -> Space:
+    """The lattice over a map for a goal pair pose in the world; fails for no goal."""
+    x_m, y_m = (float(v) for v in grid.world_to_grid(goal[:2]))
+    yaw_rad = goal[2] - grid.origin[2]
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    width_m, height_m = grid.size_m
+    corners = np.array([[0.0, 0.0], [width_m, 0.0], [0.0, height_m], [width_m, height_m]])
+    corners = (corners - (x_m, y_m)) @ np.array([[cos, -sin], [sin, cos]]) / model.cell_m
+    rim = int(max(np.abs(table.d_col).max(), np.abs(table.d_row).max())) + 4
+    low = np.floor(corners.min(axis=0)).astype(int) - rim
+    high = np.ceil(corners.max(axis=0)).astype(int) + rim
+    cols, rows = (int(v) for v in high - low + 1)
+    slots = slots_for(cols * rows * model.headings * 2)
+    half_bins = yaw_rad + np.arange(2 * model.headings) * (np.pi / model.headings)
+    return Space(
+        terrain=terrain,
+        steps=build_steps(table, cols),
+        cols=cols,
+        rows=rows,
+        headings=model.headings,
+        origin_col=int(-low[0]),
+        origin_row=int(-low[1]),
+        cell_m=model.cell_m,
+        frame=(x_m, y_m, cos, sin),
+        half_stance_m=model.stance_width_m / 2,
+        foot=_half_box(model.foot.length_m, model.foot.width_m, model.foot_margin_m),
+        body=_half_box(model.body.length_m, model.body.width_m, model.body_margin_m),
+        clearance=_clearance(model),
+        cos=np.cos(half_bins),
+        sin=np.sin(half_bins),
+        slots=slots,
+        node_state=zeros(slots.length, np.uint8),
+        pair_key=zeros(_PAIR_SLOTS, np.int64),
+        tread=_half_box(model.foot.length_m, model.foot.width_m, model.level_margin_m),
+        sole=_half_box(model.foot.length_m, model.foot.width_m, 0.0),
+        swing_reach_m=_swing_reach(model),
+        climb_um=_climb(model),
+        node_um=zeros(0 if terrain.is_flat else slots.length, np.int32),
+    )
+
+
+def _clearance(model: StepModel) -> tuple[float, float, float]:
+    """Clearance of the pair pose that costs nothing, that costs most, and the most in micrometres.
+
+    As far as the body's half width nothing is gained.
+    """
+    if model.clearance_m == 0 or model.clearance_cost_m == 0:
+        return 0.0, -1.0, 0.0
+    half_width_m = model.body.width_m / 2
+    return half_width_m + model.clearance_m, half_width_m, model.clearance_cost_m * MICRO
+
+
+def _climb(model: StepModel) -> tuple[int, int, int, int]:
+    """Lowest and highest rise of a step, what counts as level, and what a swing clears, in um."""
+    low_m, high_m = model.limits.z_m
+    low, high, level, clear = (
+        round(value_m * MICRO) for value_m in (low_m, high_m, model.level_m, model.swing_clear_m)
+    )
+    return low, high, level, clear
+
+
+def _swing_reach(model: StepModel) -> float:
+    """How far from the support foot's centre the feet of a step may pass (see `rise.py`)."""
+    limits = model.limits
+    step_m = math.hypot(max(map(abs, limits.x_m)), max(map(abs, limits.y_m)))
+    sole_m = math.hypot(model.foot.length_m, model.foot.width_m) / 2
+    return step_m + model.stance_width_m + sole_m
+
+
+def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, float]:
+    return length_m / 2 + margin_m, width_m / 2 + margin_m
+
+
+@lean
+def to_grid(space: Space, x: float, y: float) -> tuple[float, float]:
+    """Point of the lattice frame in the grid frame."""
+    ox, oy, cos, sin = space.frame
+    return ox + cos * x - sin * y, oy + sin * x + cos * y
+
+
+@lean
+def node_free(space: Space, node: int) -> bool:
+    """Whether the foot's box and the body's box over this one foot are free; cached.
+
+    Where the floor is not flat it must also be level under the foot.
+    """
+    slot = take_slot(space.slots, node)
+    state = space.node_state[slot]
+    if state == UNKNOWN:
+        state = check_node(space, node, slot)
+    return state == FREE
+
+
+@lean
+def check_node(space: Space, node: int, slot: int) -> int:
+    """FREE or BLOCKED, which it also notes in the node's slot."""
+    state = FREE if _node_is_free(space, node, slot) else BLOCKED
+    space.node_state[slot] = state
+    return state
+
+
+@lean
+def far_from_all(
+    clearance_m: NDArray[np.float32],
+    size_m: float,
+    foot: tuple[float, float],
+    turn: tuple[float, float],
+    inward_m: float,
+    radii_m: tuple[float, float],
+) -> bool:
+    """Whether distances alone say that a foot and the body over it keep off all that is blocked.
+
+    foot: x, y in the grid frame; turn: cos, sin; inward_m: how far to its left the body is;
+    radii_m: of the circles around both boxes. With a field (H, W) and its cells' size at hand this
+    costs a tenth of `check_node`, which takes over the whole lattice.
+    """
+    if clearance_at(clearance_m, size_m, foot[0], foot[1]) <= radii_m[0]:
+        return False
+    body_x, body_y = foot[0] - turn[1] * inward_m, foot[1] + turn[0] * inward_m
+    return clearance_at(clearance_m, size_m, body_x, body_y) > radii_m[1]
+
+
+@lean
+def radius_of(half_box: tuple[float, float]) -> float:
+    """Radius of the circle around a box, a hair more."""
+    return math.sqrt(half_box[0] ** 2 + half_box[1] ** 2) + 1e-6
+
+
+@lean
+def _node_is_free(space: Space, node: int, slot: int) -> bool:
+    side = node & 1
+    heading = (node >> 1) % space.headings
+    cell = (node >> 1) // space.headings
+    row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
+    out = 1 - 2 * side
+    foot_y = row * space.cell_m + out * space.half_stance_m
+    x, y = to_grid(space, col * space.cell_m, foot_y)
+    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
+    if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
+        return False
+    if len(space.node_um) > 0:
+        low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
+        if high - low > space.climb_um[2]:
+            return False
+        space.node_um[slot] = high
+    inward = out * space.half_stance_m
+    body_x, body_y = x + sin * inward, y - cos * inward
+    return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
+
+
+@lean
+def half_clearance(space: Space, half: int) -> float:
+    """Clearance in metres of a point of the grid of half cells.
+
+    half = row * 2 * cols + col.
+    """
+    width = 2 * space.cols
+    row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
+    x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
+    return point_clearance(space.terrain, x, y)
+
+
+@lean
+def pair_free(space: Space, half: int, half_heading: int) -> bool:
+    """Whether the body's box at the pair pose of a step is free; cached."""
+    key = (half * 2 * space.headings + half_heading) * 2
+    slot = (key * 0x9E3779B1 >> 7) & (_PAIR_SLOTS - 1)
+    stored = space.pair_key[slot]  # 0 where nothing is: the first half cell lies on the rim
+    if stored >> 1 == key >> 1:
+        return (stored & 1) == 1
+    half_l, half_w = space.body
+    width = 2 * space.cols
+    row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
+    x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
+    free = box_free(
+        space.terrain, x, y, space.cos[half_heading], space.sin[half_heading], half_l, half_w
+    )
+    space.pair_key[slot] = key + (1 if free else 0)
+    return free
+
+
+@lean
+def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
+    """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
+    if half_clearance(space, half) > radius_of(space.body):
+        return True
+    return pair_free(space, half, half_heading)
+
+
+@lean
+def clearance_cost(space: Space, clearance_m: float) -> int:
+    """Extra cost in micrometres of a step whose pair pose has this clearance."""
+    wanted_m, worst_m, cost_um = space.clearance
+    if clearance_m >= wanted_m:
+        return 0
+    return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))

@@ -1,0 +1,324 @@
+"""Planning of footsteps: the one call behind which every search lives."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from maps.grid import OccupancyGrid
+from planner.backends import backend
+from planner.collision import terrain_of
+from planner.endpoints import suggestion, what_blocks, what_obstructs
+from planner.ground_heights import heights_below, resting_heights
+from planner.heuristics.tables import tables_of
+from planner.lattice.lattice import build_space
+from planner.lattice.region import Region
+from planner.options import SAMPLING_PLANNERS, PlannerOptions
+from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
+from planner.refinement.refine import refine
+from planner.robot_model import Side, StepModel
+from planner.search.coarse_to_fine import coarse_model
+from planner.search.problem import Request, Result, SearchRecord
+from planner.search.toward import Toward
+from planner.verify import violations
+
+FloatArray = NDArray[np.float64]
+_ALREADY_THERE_M = 1e-6
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Query:
+    goal: Pose
+    start: Pose
+    start_feet_world: FloatArray
+    stands: bool
+    first_side: Side | None
+
+
+class Planner:
+    """Plans over one map for one robot; keeps what plans to the same goal have in common.
+
+    Make one and ask it again whenever the robot must replan: the checks of the map near the goal
+    and the way are then known already.
+    """
+
+    def __init__(
+        self, grid: OccupancyGrid, model: StepModel, options: PlannerOptions | None = None
+    ) -> None:
+        self.grid = grid
+        self.model = model
+        self.options = options or PlannerOptions()
+        self._terrain = terrain_of(grid, self.options.unknown_is_free)
+        self._tables = tables_of(model)
+        self._coarse = coarse_model(model)
+        reach = self.options.goal_reach_m, self.options.goal_reach_rad
+        # Planners of a path of the body know of no other end than the goal itself.
+        self._region = Region() if self.options.name in SAMPLING_PLANNERS else Region(*reach)
+        self._toward: tuple[Pose, Toward] | None = None
+        # How the last search went, if the options ask for that: expanded cells in the world.
+        self.record: SearchRecord | None = None
+
+    def take_map(self, grid: OccupancyGrid) -> None:
+        """Plans over a changed map from now on; what is known where both agree is kept."""
+        old, self.grid = self.grid, grid
+        self._terrain = terrain_of(grid, self.options.unknown_is_free)
+        if self._toward is None:
+            return
+        goal, toward = self._toward
+        is_alike = (
+            old.cells.shape == grid.cells.shape
+            and old.resolution_m == grid.resolution_m
+            and old.origin == grid.origin
+            and toward.space.terrain.is_flat == self._terrain.is_flat
+        )
+        self._toward = (goal, toward.over(self._terrain)) if is_alike else None
+
+    def plan(
+        self,
+        *,
+        goal: ArrayLike,
+        start: ArrayLike | None = None,
+        start_feet_world: ArrayLike | None = None,
+        first_side: Side | None = None,
+    ) -> FootstepPlan:
+        """Plan from a pair pose or from both feet as they stand to a pair pose, all in the world.
+
+        goal, start: x_m, y_m, yaw_rad. start_feet_world (2, 4): x_m, y_m, z_m, yaw_rad of the left
+        and right foot; then the feet and the body are where they are, so margins do not count at
+        the start itself, nor for the body in the first step if the start is too near already.
+        first_side: the foot that must step first; the search chooses if not given. Empty if the
+        feet already stand at the goal.
+        Raises ValueError for numbers that are not finite or for both or neither kind of start.
+        """
+        began = time.perf_counter()
+        query = self._query(goal, start, start_feet_world, first_side)
+        plan = FootstepPlan(
+            start_feet_world=query.start_feet_world,
+            start=query.start,
+            goal=query.goal,
+            planner=self.options.name,
+            epsilon=math.inf,
+        )
+        status, reason = self._refusal(query)
+        if status is not None:
+            plan = replace(plan, status=status, reason=reason)
+        elif self._is_there(query):
+            plan = replace(plan, epsilon=1.0)
+        else:
+            plan = self._search(query, plan, began)
+        return replace(plan, time_s=time.perf_counter() - began)
+
+    def _query(
+        self,
+        goal: ArrayLike,
+        start: ArrayLike | None,
+        start_feet_world: ArrayLike | None,
+        first_side: Side | None,
+    ) -> _Query:
+        if (start is None) == (start_feet_world is None):
+            raise ValueError("give either start or start_feet_world")
+        goal_pose = _finite("goal", goal, (3,))
+        if start_feet_world is None:
+            start_pose = _finite("start", start, (3,))
+            feet = self._feet_at(start_pose)
+        else:
+            feet = _finite("start_feet_world", start_feet_world, (2, 4))
+            start_pose = pair_pose(feet)
+        return _Query(
+            goal=_pose(goal_pose),
+            start=_pose(start_pose),
+            start_feet_world=feet,
+            stands=start_feet_world is not None,
+            first_side=first_side,
+        )
+
+    def _refusal(self, query: _Query) -> tuple[PlanStatus | None, str]:
+        """Why no search is worth starting: a status and one line, or None."""
+        for name, pose in (("start", query.start), ("goal", query.goal)):
+            if not self.grid.contains(pose[:2]):
+                x0, y0, x1, y1 = self.grid.bounds_world()
+                return PlanStatus.OFF_MAP, (
+                    f"{name} {pose[0]:g},{pose[1]:g} is off the map, which reaches from "
+                    f"{x0:g},{y0:g} to {x1:g},{y1:g}"
+                )
+        feet_goal = self._feet_at(query.goal)
+        for status, name, feet, margins in (
+            (PlanStatus.START_BLOCKED, "start", query.start_feet_world, not query.stands),
+            (PlanStatus.GOAL_BLOCKED, "goal", feet_goal, True),
+        ):
+            blocked = what_blocks(self.grid, self._terrain, self.model, feet, margins)
+            if blocked and not (name == "goal" and self._has_other_ends(query.goal)):
+                near = suggestion(self.grid, self._terrain, self.model, pair_pose(feet))
+                return status, f"{name}: {blocked}{near}"
+        return None, ""
+
+    def _has_other_ends(self, goal: Pose) -> bool:
+        return not self._region.is_point and len(self._toward_goal(goal).ends) > 0
+
+    def _feet_at(self, pose: ArrayLike) -> FloatArray:
+        """Feet (2, 4) of a robot that stands at a pair pose, on the ground."""
+        feet = feet_at(pose, self.model.stance_width_m)
+        feet[:, 2] = heights_below(self.grid, self._terrain, self.model, feet)[:, 1]
+        return feet
+
+    def _stands_too_near(self, query: _Query) -> bool:
+        """Whether the robot stands where the margins would not let it be: it must get away."""
+        feet = query.start_feet_world
+        return query.stands and bool(what_obstructs(self.grid, self._terrain, self.model, feet))
+
+    def _is_there(self, query: _Query) -> bool:
+        """Whether the feet stand side by side at a pose that may be the end."""
+        pose, goal, region = query.start, query.goal, self._region
+        if (
+            math.dist(pose[:2], goal[:2]) > region.reach_m
+            or abs(wrap_angle(pose[2] - goal[2])) > region.reach_rad
+        ):
+            pose = goal
+        off = query.start_feet_world - feet_at(pose, self.model.stance_width_m)
+        off[:, 3] = wrap_angle(off[:, 3])
+        return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
+
+    def _toward_goal(self, goal: Pose) -> Toward:
+        """What searches to that goal share, kept until there is another."""
+        if self._toward is None or self._toward[0] != goal:
+            coarse = None if self._coarse is None else self._laid_out(goal, self._coarse)
+            self._toward = goal, replace(self._laid_out(goal, self.model), coarse=coarse)
+        return self._toward[1]
+
+    def _laid_out(self, goal: Pose, model: StepModel) -> Toward:
+        tables = tables_of(model)
+        space = build_space(self.grid, self._terrain, model, tables.steps, goal)
+        return Toward(
+            space=space,
+            model=model,
+            tables=tables,
+            region=self._region,
+            heuristic_name=self.options.heuristic,
+        )
+
+    def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
+        request = Request(
+            toward=self._toward_goal(query.goal),
+            feet_lattice=_to_lattice(query.start_feet_world, query.goal),
+            feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
+            stands=self._stands_too_near(query),
+            first_side=query.first_side,
+        )
+        result = backend(self.options.name)(request, self.options, began)
+        self.record = _in_world(result.record, query.goal)
+        plan = replace(
+            plan,
+            status=result.status,
+            reason=result.reason,
+            expansions=result.expansions,
+            time_to_first_s=result.time_to_first_s,
+        )
+        if result.status is PlanStatus.NO_PATH and not self._terrain.is_flat:
+            low_m, high_m = self.model.limits.z_m
+            return replace(plan, reason=f"{plan.reason}; steps go from {low_m:g} to {high_m:g} m")
+        if result.status is not PlanStatus.FOUND:
+            return plan
+        plan = replace(self._with_steps(plan, result), epsilon=result.epsilon)
+        return self._refined(plan, request, result) if self.options.refine else plan
+
+    def _refined(self, plan: FootstepPlan, request: Request, result: Result) -> FootstepPlan:
+        """The plan with its steps moved to where they cost less.
+
+        As it was, where none is cheaper or exact polygons find anything wrong with the moved ones.
+        """
+        plan = replace(plan, cost_before_refinement_m=plan.cost_m)
+        moved = refine(request, result)
+        if moved is result:
+            return plan
+        refined = self._with_steps(plan, moved)
+        wrong = violations(
+            refined,
+            self.grid,
+            self.model,
+            unknown_is_free=self.options.unknown_is_free,
+            stood_freely=not request.stands,
+            goal_reach=(self._region.reach_m, self._region.reach_rad),
+        )
+        return plan if wrong else refined
+
+    def _with_steps(self, plan: FootstepPlan, result: Result) -> FootstepPlan:
+        return replace(
+            plan,
+            side=result.side,
+            pose_world=self._poses_world(result, plan.goal),
+            cost_m=result.cost_m,
+        )
+
+    def _poses_world(self, result: Result, goal: Pose) -> FloatArray:
+        """Poses (N, 4) in the world; the last two are the feet of a pair pose to the bit."""
+        cos, sin = math.cos(goal[2]), math.sin(goal[2])
+        x, y, yaw = result.pose_lattice.T
+        poses = np.column_stack(
+            [
+                goal[0] + cos * x - sin * y,
+                goal[1] + sin * x + cos * y,
+                result.z_m,
+                wrap_angle(goal[2] + yaw),
+            ]
+        )
+        end = pair_pose(poses[-2:])
+        is_goal = np.abs([*(end[:2] - goal[:2]), wrap_angle(end[2] - goal[2])]).max() < _ROUNDING
+        feet = self._feet_at(goal if is_goal else end)
+        poses[-2:] = feet[result.side[-2:]]
+        return poses
+
+
+def plan_footsteps(
+    grid: OccupancyGrid,
+    model: StepModel,
+    *,
+    goal: ArrayLike,
+    start: ArrayLike | None = None,
+    start_feet_world: ArrayLike | None = None,
+    first_side: Side | None = None,
+    options: PlannerOptions | None = None,
+) -> FootstepPlan:
+    """One plan; see `Planner.plan`. Make a `Planner` to plan more than once on a map."""
+    return Planner(grid, model, options).plan(
+        goal=goal, start=start, start_feet_world=start_feet_world, first_side=first_side
+    )
+
+
+def _in_world(record: SearchRecord | None, goal: Pose) -> SearchRecord | None:
+    """The record with its cells in the world."""
+    if record is None:
+        return None
+    cos, sin = math.cos(goal[2]), math.sin(goal[2])
+    x, y, states = record.expanded.T
+    x_m, y_m = goal[0] + cos * x - sin * y, goal[1] + sin * x + cos * y
+    return replace(record, expanded=np.column_stack([x_m, y_m, states]))
+
+
+def _finite(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
+    array = np.asarray(values, dtype=float)
+    if array.shape != shape or not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} {values!r} must be finite numbers of shape {shape}")
+    return array
+
+
+def _pose(values: FloatArray) -> Pose:
+    x_m, y_m, yaw_rad = (float(v) for v in values)
+    return x_m, y_m, yaw_rad
+
+
+def _to_lattice(feet_world: FloatArray, goal: Pose) -> FloatArray:
+    """Feet (2, 3) as x_m, y_m, yaw_rad in the lattice frame of a goal."""
+    cos, sin = math.cos(goal[2]), math.sin(goal[2])
+    away = feet_world[:, :2] - np.array(goal[:2])
+    return np.column_stack(
+        [
+            cos * away[:, 0] + sin * away[:, 1],
+            cos * away[:, 1] - sin * away[:, 0],
+            wrap_angle(feet_world[:, 3] - goal[2]),
+        ]
+    )

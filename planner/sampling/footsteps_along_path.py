@@ -1,0 +1,123 @@
+"""Footsteps along a path of the body, whatever it came from.
+
+Feet stand on either side of poses of the path, so a plan is a sequence of points along it, by turns
+left and right. Which points is a shortest way in a small graph without cycles: from each point the
+steps that the limits allow lead on to the next few dozen. Limits, boxes and costs are those of the
+search. Where no step leads on, `Strand.end` says how far the feet come.
+
+All poses are x_m, y_m, yaw_rad in the grid frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, step_costs
+from planner.lattice.lattice import Space
+from planner.lattice.steps import MICRO
+from planner.plan import wrap_angle
+from planner.robot_model import Side, StepModel
+from planner.sampling.strand import NO_COST, NOWHERE, START, check_feet, check_seeds, walk
+
+FloatArray = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+_STRIDE_M, _STRIDE_RAD = 0.025, 0.05
+_REACH = 32  # points ahead that a step may lead to
+
+
+def feet_beside(poses: FloatArray, model: StepModel) -> FloatArray:
+    """Feet (2, n, 3) of a robot that stands at poses (n, 3)."""
+    away = np.stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2]), np.zeros(len(poses))], axis=1)
+    half_m = model.stance_width_m / 2
+    return np.stack([poses + side.outward * half_m * away for side in Side])
+
+
+def dense(corners: FloatArray) -> FloatArray:
+    """Poses (n, 3) along straight motions between corners (m, 3), as near as the steps want them.
+
+    Headings go the shorter way round and are not wrapped.
+    """
+    moves = np.diff(corners, axis=0)
+    moves[:, 2] = wrap_angle(moves[:, 2])
+    far = np.maximum(
+        np.hypot(moves[:, 0], moves[:, 1]) / _STRIDE_M, np.abs(moves[:, 2]) / _STRIDE_RAD
+    )
+    counts = np.ceil(far - 1e-9).astype(np.int64)
+    move = np.repeat(np.arange(len(moves)), counts)
+    part = np.arange(len(move)) - (np.cumsum(counts) - counts)[move] + 1
+    begins = corners[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(moves, axis=0)])
+    path = begins[move] + (part / counts[move])[:, None] * moves[move]
+    return np.concatenate([corners[:1], path])
+
+
+class Strand:
+    """The cheapest steps along a path (n, 3) from a stance, to every point that they lead to."""
+
+    def __init__(self, space: Space, model: StepModel, path: FloatArray, stance: Stance) -> None:
+        self._feet = feet_beside(path, model)
+        number = len(path)
+        ok = np.zeros((number, 2), np.bool_)
+        self._height_um = np.zeros((number, 2), np.int64)
+        check_feet(space, path, self._feet, ok, self._height_um)
+        after = np.minimum(np.arange(number)[:, None] + np.arange(_REACH), number - 1)
+        beyond = np.arange(number)[:, None] + np.arange(_REACH) >= number
+        cost_um = np.zeros((number, _REACH, 2), np.int64)
+        seeds_um = np.zeros((min(_REACH, number), 2), np.int64)
+        for side in Side:
+            support, swing = self._feet[side.other], self._feet[side]
+            cost_um[:, :, side] = step_costs(support[:, None], swing[after], side.outward, model)
+            cost_um[beyond, side] = 0
+            if stance.first_side in (None, side):
+                standing = stance.feet[side.other]
+                seeds_um[:, side] = step_costs(
+                    standing, swing[: len(seeds_um)], side.outward, model
+                )
+        body = (
+            model.body.length_m / 2 + stance.pair_margin_m,
+            model.body.width_m / 2 + stance.pair_margin_m,
+        )
+        standing_um = np.rint(stance.feet_m * MICRO).astype(np.int64)
+        ground = self._feet, self._height_um, ok
+        check_seeds(space, stance.feet, standing_um, *ground, body, seeds_um)
+        self._cost_um = np.full((number, 2), NO_COST)
+        self._before = np.full((number, 2), NOWHERE)
+        walk(space, *ground, cost_um, seeds_um, self._cost_um, self._before)
+        reached = np.nonzero(self._cost_um.min(axis=1) < NO_COST)[0]
+        self.end = int(reached[-1]) if len(reached) else START
+        self._arrives = self.end == number - 1 and bool(ok[-1].all())
+
+    def to_end(self) -> Footsteps | None:
+        """Steps to both feet beside the path's last pose, or None if none lead there."""
+        if not self._arrives:
+            return None
+        last = len(self._before) - 1
+        side = Side(int(np.argmin(self._cost_um[last])))
+        return self._trace(last, side).then(self._steps([side.other], [last]))
+
+    def to_point(self, point: int) -> tuple[int, Footsteps]:
+        """Steps to the last point, up to this one, that they lead to, and which it is."""
+        costs = self._cost_um[: max(point, 0) + 1]
+        reached = np.nonzero(costs.min(axis=1, initial=NO_COST) < NO_COST)[0]
+        if point < 0 or not len(reached):
+            return START, NO_STEPS
+        last = int(reached[-1])
+        return last, self._trace(last, Side(int(np.argmin(costs[last]))))
+
+    def _trace(self, point: int, side: Side) -> Footsteps:
+        sides: list[Side] = []
+        points: list[int] = []
+        while point != START:
+            sides.append(side)
+            points.append(point)
+            point, side = int(self._before[point, side]), side.other
+        sides.reverse()
+        points.reverse()
+        return self._steps(sides, points)
+
+    def _steps(self, sides: list[Side], points: list[int]) -> Footsteps:
+        return Footsteps(
+            side=np.array(sides, np.int8),
+            pose=self._feet[sides, points],
+            z_m=self._height_um[points, sides] / MICRO,
+        )

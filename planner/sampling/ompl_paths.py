@@ -1,0 +1,286 @@
+"""A path of the body in SE(2) by the sampling planners of OMPL; the one file that loads OMPL.
+
+The limits are counts of OMPL's own iterations, so a seed gives the same path every time. `solve`
+holds Python's global lock: where something else must go on, plan in another process. OMPL's objects
+stay inside functions, because what is left of them at the end of a program complains.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base, geometric, util
+
+from planner.collision import Terrain
+from planner.sampling.body_motion import Outline, can_move, can_stand
+
+FloatArray = NDArray[np.float64]
+_RANGE_M = 2.0  # longest motion that a tree grows by at once
+_SHORTCUTS = 200  # how often the path is tried to be cut short
+
+
+class Effort(NamedTuple):
+    """Iterations of a planner: at most, and past its first path in search of a better one."""
+
+    most: int
+    more: int
+
+
+# The star planners' first path is seldom worth having, and each of their iterations asks for many
+# motions. FMT* draws all samples at once: the least and the most.
+EFFORTS = {
+    "rrtconnect": Effort(40_000, 0),
+    "rrtstar": Effort(20_000, 1_500),
+    "informed-rrtstar": Effort(20_000, 1_500),
+    "bitstar": Effort(100_000, 3_000),
+    "prmstar": Effort(20_000, 1_000),
+    "fmt": Effort(16_000, 1_000),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyQuery:
+    """A way to be found for the body from one pose (3,) to another, all in the grid frame."""
+
+    terrain: Terrain
+    outline: Outline
+    start: FloatArray
+    goal: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyWay:
+    """What came of it: the corners (n, 3) of the path, none if no path was found."""
+
+    corners: FloatArray
+    iterations: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """When to stop looking: iterations, and a time.perf_counter() or None."""
+
+    effort: Effort
+    until_s: float | None
+
+
+def find_way(name: str, query: BodyQuery, limits: Limits, seed: int) -> BodyWay:
+    """The path that the planner of that name finds, cut short where that is possible."""
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(seed + 1)  # 0 is no seed
+    task = _Task(query)
+    watch = _Watch(limits)
+    if name == "prmstar":
+        corners = _roadmap(task, watch)
+    elif name == "fmt":
+        corners = _fast_marching(task, watch)
+    else:
+        corners = _tree(name, task, watch)
+    if corners is not None:
+        corners = _cut_short(task, corners)
+    return BodyWay(
+        corners=np.zeros((0, 3)) if corners is None else corners, iterations=watch.iterations
+    )
+
+
+class _Watch:
+    """Counts iterations and says when to stop; OMPL asks it once an iteration."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.iterations = 0
+        self.is_solved: Callable[[], bool] = lambda: False
+        self._limits = limits
+        self._first: int | None = None
+
+    def __call__(self) -> bool:
+        """Whether to stop."""
+        self.iterations += 1
+        if self._first is None and self.is_solved():
+            self._first = self.iterations
+        most, more = self._limits.effort
+        if self._first is not None and self.iterations - self._first >= more:
+            return True
+        return self.iterations >= most or self.is_late()
+
+    def is_late(self) -> bool:
+        """Whether the time is over."""
+        until_s = self._limits.until_s
+        return until_s is not None and time.perf_counter() >= until_s
+
+    def condition(self) -> Any:
+        """This watch as OMPL wants it."""
+        return base.PlannerTerminationCondition(self)
+
+    @property
+    def effort(self) -> Effort:
+        """The limits on iterations."""
+        return self._limits.effort
+
+
+class _Motions(base.MotionValidator):  # type: ignore[misc]
+    """Asks the map for a whole motion at once."""
+
+    def __init__(self, information: Any, query: BodyQuery) -> None:
+        super().__init__(information)
+        self._ground = query.terrain, query.outline
+
+    def checkMotion(self, start: Any, end: Any) -> bool:
+        """Whether the body is free from start to end."""
+        return can_move(*self._ground, _pose(start), _pose(end))
+
+
+class _Task:
+    """A query in OMPL's terms."""
+
+    def __init__(self, query: BodyQuery) -> None:
+        rows, cols = query.terrain.blocked.shape
+        bounds = base.RealVectorBounds(2)
+        for axis, cells in enumerate((cols, rows)):
+            bounds.setLow(axis, 0.0)
+            bounds.setHigh(axis, cells * query.terrain.resolution_m)
+        self.space = base.SE2StateSpace()
+        self.space.setBounds(bounds)
+        self.information = base.SpaceInformation(self.space)
+        ground = query.terrain, query.outline
+        self.information.setStateValidityChecker(lambda state: can_stand(*ground, *_pose(state)))
+        self._motions = _Motions(self.information, query)
+        self.information.setMotionValidator(self._motions)
+        self.information.setup()
+        self.start, self.goal = self._state(query.start), self._state(query.goal)
+
+    def _state(self, pose: FloatArray) -> Any:
+        state = self.space.allocState()
+        state.setX(float(pose[0]))
+        state.setY(float(pose[1]))
+        state.setYaw(math.remainder(float(pose[2]), 2 * math.pi))
+        return state
+
+    def problem(self) -> Any:
+        """A problem without solutions yet: a short path from start to goal."""
+        problem = base.ProblemDefinition(self.information)
+        problem.setStartAndGoalStates(self.start, self.goal)
+        problem.setOptimizationObjective(base.PathLengthOptimizationObjective(self.information))
+        return problem
+
+
+def _pose(state: Any) -> tuple[float, float, float]:
+    return state.getX(), state.getY(), state.getYaw()
+
+
+def _tree(name: str, task: _Task, watch: _Watch) -> FloatArray | None:
+    """Corners (n, 3) by a planner that grows trees and stops when it is told to."""
+    kinds = {
+        "rrtconnect": geometric.RRTConnect,
+        "rrtstar": geometric.RRTstar,
+        "informed-rrtstar": geometric.InformedRRTstar,
+        "bitstar": geometric.BITstar,
+    }
+    planner, problem = kinds[name](task.information), task.problem()
+    if hasattr(planner, "setRange"):
+        planner.setRange(_RANGE_M)
+    planner.setProblemDefinition(problem)
+    planner.setup()
+    if hasattr(planner, "bestCost"):
+        watch.is_solved = lambda: math.isfinite(planner.bestCost().value())
+    planner.solve(watch.condition())
+    watch.is_solved = lambda: False
+    return _solution(problem)
+
+
+def _solution(problem: Any) -> FloatArray | None:
+    """Corners of the path that reaches the goal; a path that only comes near does not count."""
+    if not problem.hasExactSolution():
+        return None
+    return np.array([_pose(state) for state in problem.getSolutionPath().getStates()])
+
+
+def _fast_marching(task: _Task, watch: _Watch) -> FloatArray | None:
+    """Corners by FMT*, which is asked again with twice the samples while it finds nothing."""
+    most = watch.effort.most
+    samples = min(watch.effort.more, most)
+    while samples <= most and not watch.is_late():
+        planner, problem = geometric.FMT(task.information), task.problem()
+        planner.setNumSamples(samples)
+        planner.setExtendedFMT(False)  # which would go on drawing for ever
+        planner.setProblemDefinition(problem)
+        planner.setup()
+        planner.solve(base.PlannerTerminationCondition(watch.is_late))
+        watch.iterations += samples
+        corners = _solution(problem)
+        if corners is not None:
+            return corners
+        samples *= 2
+    return None
+
+
+def _roadmap(task: _Task, watch: _Watch) -> FloatArray | None:
+    """Corners by PRM*.
+
+    Its own `solve` looks for the path in a second thread, so that the result hangs on who is
+    quicker. Here the roadmap grows in this thread, and the path over it is found afterwards.
+    """
+    planner = geometric.PRMstar(task.information)
+    planner.setProblemDefinition(task.problem())
+    planner.setup()
+    # Stops at once, but takes up start and goal.
+    planner.solve(base.plannerAlwaysTerminatingCondition())
+    size = watch.effort.more
+    while True:
+        until = min(size, watch.effort.most)
+        planner.growRoadmapPtc(_until(watch, until))
+        corners = _shortest(task, planner)
+        if corners is not None or watch.iterations >= watch.effort.most or watch.is_late():
+            return corners
+        size *= 2
+
+
+def _until(watch: _Watch, iterations: int) -> Any:
+    return base.PlannerTerminationCondition(lambda: watch() or watch.iterations >= iterations)
+
+
+def _shortest(task: _Task, planner: Any) -> FloatArray | None:
+    """Corners of the shortest path over a roadmap."""
+    roadmap = base.PlannerData(task.information)
+    planner.getPlannerData(roadmap)
+    if not (roadmap.numStartVertices() and roadmap.numGoalVertices()):
+        return None
+    start, goal = roadmap.getStartIndex(0), roadmap.getGoalIndex(0)
+    states = [roadmap.getVertex(i).getState() for i in range(roadmap.numVertices())]
+    before, done = {start: start}, set()
+    cost_m = {start: 0.0}
+    heap = [(0.0, start)]
+    while heap and goal not in done:
+        here_m, vertex = heapq.heappop(heap)
+        if vertex in done:
+            continue
+        done.add(vertex)
+        for near in roadmap.getEdges(vertex):
+            there_m = here_m + task.information.distance(states[vertex], states[near])
+            if there_m < cost_m.get(near, math.inf):
+                cost_m[near], before[near] = there_m, vertex
+                heapq.heappush(heap, (there_m, near))
+    if goal not in done:
+        return None
+    path = [goal]
+    while path[-1] != start:
+        path.append(before[path[-1]])
+    return np.array([_pose(states[vertex]) for vertex in reversed(path)])
+
+
+def _cut_short(task: _Task, corners: FloatArray) -> FloatArray:
+    """The corners after OMPL's shortcuts, which keep start and goal."""
+    path = geometric.PathGeometric(task.information)
+    for corner in corners:
+        path.append(task._state(corner))
+    simplifier = geometric.PathSimplifier(task.information)
+    simplifier.reduceVertices(path)
+    simplifier.partialShortcutPath(path, _SHORTCUTS, _SHORTCUTS)
+    simplifier.reduceVertices(path)
+    return np.array([_pose(state) for state in path.getStates()])

@@ -1,0 +1,303 @@
+"""One ARA* run: rounds of falling epsilon, limits, floods, and the plan or why there is none."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from planner.lattice.lattice import Int64s
+from planner.lattice.steps import MICRO
+from planner.options import FULL, PlannerOptions
+from planner.plan import PlanStatus
+from planner.search import best_first as search
+from planner.search.best_first import Tree
+from planner.search.first_plan import QuickPath
+from planner.search.problem import (
+    Request,
+    Result,
+    SearchRecord,
+    failure,
+    found,
+    no_way,
+)
+from planner.search.reachability import Flood, Verdict, new_flood, spread
+from planner.search.reading import expanded_in_cells, trace
+from planner.search.search_task import Task
+from planner.search.sharpen import sharpened
+
+_QUICK = -1  # in place of a node: the plan that was found before the search proper
+# Expansions after which a search for a proof is given a sharper bound, which takes long to make.
+_BLUNT = 2_000_000
+_BUDGET = 4096  # expansions between two looks at the clock
+# A search that has no plan after so many expansions takes turns with the floods from start and
+# goal, which may find that there is none: so many expansions against so many nodes of each flood,
+# which double from turn to turn, because the longer there is no plan the likelier there is none.
+_PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
+
+
+_ENCLOSED = {
+    Verdict.GOAL_ENCLOSED: "obstacles leave no steps from outside to the goal",
+    Verdict.START_ENCLOSED: "obstacles leave no steps out from the start",
+}
+
+
+class Run:
+    """The rounds of one search and the limits on them."""
+
+    def __init__(self, request: Request, options: PlannerOptions, began: float) -> None:
+        self.request = request
+        self.options = options
+        self.began = began
+        self.time_to_first_s = 0.0
+        self.least_um = 0
+        self.open_um = 0  # no open state's cost and heuristic is less
+        self.proven = math.inf
+        self.first_expansions = 0
+        self.verdict = Verdict.OPEN
+        self.task: Task
+        self.tree: Tree
+        self._quick: QuickPath | None = None
+        self._is_sharp = False
+        self._spent = 0  # expansions before the search proper
+        self._flood: Flood | None = None
+        self._flood_turn = _FLOOD_TURN
+        self._moments: list[tuple[float, float, float]] = []
+
+    def take(self, quick: QuickPath) -> None:
+        """Takes over a plan that was found before the search proper."""
+        self._quick = quick
+        self.begin_with(quick.cost_um, quick.least_um, quick.expansions)
+
+    def begin_with(self, cost_um: int, least_um: int, expansions: int) -> None:
+        """Takes into account that there is a plan of this cost; NO_COST if there is none.
+
+        least_um: what any plan costs at least. expansions: how many it took to know that.
+        """
+        self._spent, self.least_um = expansions, least_um
+        if cost_um < search.NO_COST:
+            self.time_to_first_s = time.perf_counter() - self.began
+            self.proven = cost_um / min(cost_um, max(least_um, 1))
+            self._note_moment(cost_um)
+
+    def quick_result(self) -> Result:
+        """The plan that was taken over."""
+        assert self._quick is not None
+        return self._found(self._quick.nodes, self._quick.cost_um, self._quick.expansions)
+
+    def result(self, task: Task, tree: Tree | None = None) -> Result:
+        """Runs all rounds, from a fresh tree unless one is given, and reads the plan from it."""
+        self.task, self.tree = task, tree or task.tree()
+        scalars = self.tree.scalars
+        if self._quick is not None and self._quick.cost_um < scalars[search.BEST_UM]:
+            scalars[search.BEST_UM], scalars[search.BEST_NODE] = self._quick.cost_um, _QUICK
+        if not task.may_connect:
+            return no_way()
+        epsilon = self.options.epsilon
+        while self._round(epsilon):
+            epsilon = _next_epsilon(epsilon)
+        if self._best_um < search.NO_COST:
+            return self._best_plan()
+        return replace(self._no_plan(), record=self._record())
+
+    def _no_plan(self) -> Result:
+        expansions = self._expansions
+        if self.verdict in _ENCLOSED:
+            assert self._flood is not None
+            poses = int(self._flood.ends[1] + self._flood.ends[3])
+            reason = f"the goal cannot be reached: {_ENCLOSED[self.verdict]} ({poses} poses tried)"
+            return failure(PlanStatus.NO_PATH, reason, expansions)
+        if self._limit_reached():
+            self._tighten_bound()
+            reason = (
+                f"no plan found within {self._limit_reached()}; "
+                f"any plan costs at least {self.least_um / MICRO:.2f} m"
+            )
+            return failure(PlanStatus.TIMED_OUT, reason, expansions)
+        reason = (
+            "the goal cannot be reached: all poses that steps lead to were searched "
+            f"({expansions} expansions)"
+        )
+        return failure(PlanStatus.NO_PATH, reason, expansions)
+
+    def _best_plan(self) -> Result:
+        self._tighten_bound()
+        self.least_um = int(self._best_um / self.proven)
+        self._note_moment(self._best_um)
+        plan = self._found(self._best_nodes(), self._best_um, self._expansions)
+        return replace(plan, record=self._record())
+
+    def _best_nodes(self) -> Int64s:
+        last = int(self.tree.scalars[search.BEST_NODE])
+        if last == _QUICK:
+            assert self._quick is not None
+            return self._quick.nodes
+        return self.task.in_order(trace(self.tree, last))
+
+    def best(self) -> QuickPath | None:
+        """The best plan after `result`, if there is one."""
+        if self._best_um == search.NO_COST:
+            return None
+        return QuickPath(
+            nodes=self._best_nodes(),
+            cost_um=self._best_um,
+            least_um=self.least_um,
+            expansions=self._expansions,
+        )
+
+    def _note_moment(self, best_um: int) -> None:
+        if self.options.record:
+            cost_m = best_um / MICRO if best_um < search.NO_COST else math.inf
+            elapsed_s = time.perf_counter() - self.began
+            self._moments.append((elapsed_s, cost_m, self.least_um / MICRO))
+
+    def _record(self) -> SearchRecord | None:
+        """How the search went, if that is asked."""
+        if not self.options.record:
+            return None
+        space = self.task.space
+        done = expanded_in_cells(space, self.tree)
+        cell = np.flatnonzero(done)
+        x_m = (cell % space.cols - space.origin_col) * space.cell_m
+        y_m = (cell // space.cols - space.origin_row) * space.cell_m
+        moments = np.array(self._moments).reshape(-1, 3)
+        return SearchRecord(
+            time_s=moments[:, 0],
+            cost_m=moments[:, 1],
+            least_m=moments[:, 2],
+            expanded=np.column_stack([x_m, y_m, done[cell]]),
+        )
+
+    def _found(self, nodes: Int64s, cost_um: int, expansions: int) -> Result:
+        return found(
+            self.request,
+            nodes,
+            cost_um=cost_um,
+            epsilon=self.proven,
+            expansions=expansions,
+            time_to_first_s=self.time_to_first_s,
+        )
+
+    @property
+    def _best_um(self) -> int:
+        return int(self.tree.scalars[search.BEST_UM])
+
+    @property
+    def _expansions(self) -> int:
+        return self._spent + int(self.tree.scalars[search.EXPANSIONS])
+
+    def _round(self, epsilon: float) -> bool:
+        """One search with a weight; whether another one may follow."""
+        space, heuristic = self.task.space, self.task.heuristic
+        self._begin_round(epsilon)
+        self._note_moment(self._best_um)
+        if self.proven <= self.options.final_epsilon:
+            return False
+        while True:
+            if self._may_sharpen(epsilon) and self._sharpen():
+                return True
+            outcome = search.expand(space, heuristic, self.tree, epsilon, self._budget())
+            if outcome == search.OUT_OF_ENTRIES:
+                self.tree = search.with_more_entries(self.tree)
+            elif outcome == search.IMPROVED:
+                self._note_moment(self._best_um)
+                if self.time_to_first_s == 0.0:
+                    self.time_to_first_s = time.perf_counter() - self.began
+                    self.first_expansions = self._expansions
+                if self.options.stop_at_first:
+                    return False
+            elif outcome in (search.FINISHED, search.EXHAUSTED):
+                if self._best_um < search.NO_COST and epsilon == 1.0:
+                    self.proven = 1.0
+                    self.open_um = max(self.open_um, self._best_um)
+                return self._best_um < search.NO_COST and self.proven > self.options.final_epsilon
+            if self._limit_reached() or self._improved_enough() or self._is_enclosed():
+                return False
+
+    def _may_sharpen(self, epsilon: float) -> bool:
+        blunt = 0 if self.request.toward.coarse is not None else _BLUNT
+        return (
+            epsilon == 1.0
+            and self.options.heuristic == FULL
+            and not (self._is_sharp or self.task.is_backward)
+            and self._best_um < search.NO_COST
+            and self._expansions >= blunt
+        )
+
+    def _sharpen(self) -> bool:
+        """Looks for a sharper bound, once; whether there is one."""
+        self._is_sharp = True
+        task = sharpened(self.request, self.task, self._best_um, lambda: not self._limit_reached())
+        if task is None:
+            return False
+        self.task = task
+        return True
+
+    def _is_enclosed(self) -> bool:
+        """Whether the floods, if it is their turn, find that no steps lead to the goal."""
+        if self._may_be_enclosed() and self._expansions >= _PATIENCE:
+            if self._flood is None:
+                self._flood = self._new_flood()
+            self._flood, self.verdict = spread(self.task.space, self._flood, self._flood_turn)
+            self._flood_turn = min(2 * self._flood_turn, _FLOOD_TURN_MOST)
+        return self.verdict in _ENCLOSED
+
+    def _new_flood(self) -> Flood:
+        task = self.task
+        ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
+        return new_flood(task.space, *ends)
+
+    def _may_be_enclosed(self) -> bool:
+        return self.verdict is Verdict.OPEN and self._best_um == search.NO_COST
+
+    def _tighten_bound(self) -> None:
+        """Takes over what the open states prove now that the search stopped in mid-round."""
+        if self.proven > 1.0:
+            self._begin_round(1.0)
+
+    def _begin_round(self, epsilon: float) -> None:
+        """Orders the open states anew, and takes over what the least g + h of all proves."""
+        space, heuristic = self.task.space, self.task.heuristic
+        self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
+        self.open_um = max(self.open_um, self.least_um)
+        best = self._best_um
+        if best < search.NO_COST:
+            self.proven = min(self.proven, best / min(best, max(self.least_um, 1)))
+
+    def _budget(self) -> int:
+        """Expansions until one of the limits is to be looked at again."""
+        budget = self.options.max_expansions - self._expansions
+        if self.options.time_limit_s:
+            budget = min(budget, _BUDGET)
+        if self._may_be_enclosed():
+            budget = min(budget, max(_TURN, _PATIENCE - self._expansions))
+        if not self._is_sharp and self._expansions < _BLUNT:
+            budget = min(budget, _BLUNT - self._expansions)
+        left = self._left_to_improve()
+        return max(0, budget if left is None else min(budget, left))
+
+    def _left_to_improve(self) -> int | None:
+        """Expansions left to spend on a better plan than the first; None without a limit."""
+        if self.options.improve_expansions is None or self._best_um == search.NO_COST:
+            return None
+        return self.first_expansions + self.options.improve_expansions - self._expansions
+
+    def _improved_enough(self) -> bool:
+        left = self._left_to_improve()
+        return left is not None and left <= 0
+
+    def _limit_reached(self) -> str:
+        """The limit that ended the search, in words; empty if none did."""
+        if self._expansions >= self.options.max_expansions:
+            return f"{self.options.max_expansions} expansions"
+        limit_s = self.options.time_limit_s
+        if limit_s is not None and time.perf_counter() - self.began >= limit_s:
+            return f"{limit_s:g} s"
+        return ""
+
+
+def _next_epsilon(epsilon: float) -> float:
+    """The next weight: two fifths of what is above 1, and 1 itself once that is little."""
+    return 1.0 + 0.4 * (epsilon - 1.0) if epsilon > 1.3 else 1.0

@@ -1,0 +1,166 @@
+"""What every search is asked, and what it answers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.heuristics.heuristic import Heuristic
+from planner.lattice.first_steps import first_steps
+from planner.lattice.lattice import Space
+from planner.lattice.region import beside, height_beside
+from planner.lattice.slots import slots_of
+from planner.lattice.steps import MICRO
+from planner.plan import PlanStatus
+from planner.robot_model import Side, StepModel
+from planner.search.toward import Toward
+
+FloatArray = NDArray[np.float64]
+Int64s = NDArray[np.int64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """A search on the lattice.
+
+    feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): how high.
+    """
+
+    toward: Toward
+    feet_lattice: FloatArray
+    feet_m: FloatArray
+    stands: bool
+    first_side: Side | None
+
+    @property
+    def space(self) -> Space:
+        """The lattice."""
+        return self.toward.space
+
+    @property
+    def model(self) -> StepModel:
+        """The robot."""
+        return self.toward.model
+
+    @property
+    def heuristic(self) -> Heuristic:
+        """The heuristic toward the goal."""
+        return self.toward.heuristic
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRecord:
+    """How a search went.
+
+    time_s, cost_m, least_m (k,): at each of k moments the seconds since the request, the cost of
+    the best plan so far (inf before the first) and what any plan costs at least. expanded (n, 3):
+    x_m, y_m of the feet's cells in which states were expanded, in the frame of the goal's pair
+    pose, and how many.
+    """
+
+    time_s: FloatArray
+    cost_m: FloatArray
+    least_m: FloatArray
+    expanded: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason.
+
+    z_m (N,): height of the ground under each step. record: if the options ask for one.
+    """
+
+    status: PlanStatus
+    reason: str = ""
+    side: NDArray[np.int8]
+    pose_lattice: FloatArray
+    z_m: FloatArray
+    cost_m: float = 0.0
+    epsilon: float = math.inf
+    expansions: int = 0
+    time_to_first_s: float = 0.0
+    record: SearchRecord | None = None
+
+
+def failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
+    """A result without a plan."""
+    return Result(
+        status=status,
+        reason=reason,
+        side=np.zeros(0, np.int8),
+        pose_lattice=np.zeros((0, 3)),
+        z_m=np.zeros(0),
+        expansions=expansions,
+    )
+
+
+def no_first_step(request: Request) -> Result:
+    """The result where nothing can be stepped on from where the feet stand."""
+    side = "" if request.first_side is None else f" with the {request.first_side.name.lower()}"
+    reason = f"start: no first step{side} is free of obstacles and in limits"
+    return failure(PlanStatus.NO_PATH, reason)
+
+
+def no_way() -> Result:
+    """The result where no path of the body leads from the start to the goal."""
+    reason = (
+        "the goal cannot be reached: obstacles enclose the start or the goal for a body of this "
+        "width"
+    )
+    return failure(PlanStatus.NO_PATH, reason)
+
+
+def first_nodes(request: Request) -> tuple[Int64s, Int64s]:
+    """Nodes (n,) and costs (n,) of the first steps with either foot, or with the one asked for."""
+    sides = tuple(Side) if request.first_side is None else (request.first_side,)
+    # A robot that stands too near to an obstacle must be able to leave.
+    margin_m = 0.0 if request.stands else request.model.body_margin_m
+    return first_steps(
+        request.space,
+        request.model,
+        request.feet_lattice,
+        sides,
+        margin_m,
+        np.rint(request.feet_m * MICRO).astype(np.int64),
+    )
+
+
+def found(
+    request: Request,
+    nodes: Int64s,
+    *,
+    cost_um: int,
+    epsilon: float,
+    expansions: int,
+    time_to_first_s: float,
+) -> Result:
+    """The plan whose steps are the nodes (N - 1,) and then the other foot beside the last."""
+    space, model, last = request.space, request.model, int(nodes[-1])
+    side = (nodes & 1).astype(np.int8)
+    heading = (nodes >> 1) % space.headings
+    cell = (nodes >> 1) // space.headings
+    col = (cell % space.cols - space.origin_col).astype(float)
+    row = (cell // space.cols - space.origin_row).astype(float)
+    out = 1 - 2 * side  # `Side.outward`
+    position = np.column_stack(
+        [col * model.cell_m, row * model.cell_m + out * model.stance_width_m / 2]
+    )
+    yaw_rad = heading * (2 * np.pi / space.headings)
+    poses = np.column_stack([position, yaw_rad])
+    height_um = np.zeros(len(nodes))
+    if len(space.node_um):
+        height_um = space.node_um[slots_of(space.slots, nodes)].astype(np.float64)
+    return Result(
+        status=PlanStatus.FOUND,
+        side=np.append(side, 1 - side[-1]),
+        pose_lattice=np.vstack([poses, (*beside(space, last)[:2], yaw_rad[-1])]),
+        z_m=np.append(height_um, height_beside(space, last)) / MICRO,
+        cost_m=cost_um / MICRO,
+        epsilon=epsilon,
+        expansions=expansions,
+        time_to_first_s=time_to_first_s,
+    )

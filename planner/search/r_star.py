@@ -1,0 +1,253 @@
+"""R*: a first plan by way of sparse random sub-goals, for large open maps.
+
+After Likhachev and Stentz, "R* Search", 2008. The search knows a graph of few states only: from
+each it goes on to some random ones at a fixed distance, and to the goal once that is near. What a
+way between two of them costs is at first only a lower bound; the way itself is searched for when it
+is its turn (`local.py`), and seldom far: a state that is hard to come to, or dearly, is put behind
+all that are not. Nothing of this sees the whole map. The plan is then improved in a strip along it.
+
+Where this finds nothing the quick search follows (`quick.py`), and then the full one, so no plan is
+missed; and that goes on from this plan unless the first is good enough. The bound reported is the
+full search's, or before it that of the straight way.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+import time
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from planner.heuristics.turning import straight_cost
+from planner.heuristics.wavefront import cell_shut
+from planner.lattice.lattice import Int64s
+from planner.lattice.steps import final_cost_um
+from planner.options import PlannerOptions
+from planner.search.ara import quick_plan
+from planner.search.ara_star import Run
+from planner.search.coarse_to_fine import least_straight
+from planner.search.first_plan import NO_WAY, QuickPath
+from planner.search.local import Found, Target, search_to, target_around
+from planner.search.problem import Request, Result, first_nodes, no_first_step, no_way
+from planner.search.search_task import forward_task, least_toward_goal
+from planner.search.toward import body_cells_of
+
+_APART_M = 2.0  # from a state to the next
+_SUCCESSORS = 8
+_TARGET_CELLS = 2  # radius of what counts as having come to a sub-goal
+_WEIGHT = 2.0
+_EASY, _HARD = 1_000, 10_000  # expansions of a search between two states, at first and once more
+_MOST_STATES = 2_000
+_MOST_EXPANSIONS = 5_000  # then the quick search takes over, which needs fewer
+_STRIP_M, _STRIP_EXPANSIONS = 0.6, 20_000
+
+
+def plan_rstar(request: Request, options: PlannerOptions, began: float) -> Result:
+    """A first plan by sub-goals, then the search of `plan_ara` until the options are content."""
+    nodes, costs_um = first_nodes(request)
+    if not len(nodes):
+        return no_first_step(request)
+    run = Run(request, options, began)
+    sparse = _Sparse(request, nodes, costs_um, options, began)
+    first = sparse.plan()
+    if first is None:
+        first = quick_plan(request, nodes, costs_um, options)
+        if first is NO_WAY:
+            return no_way()
+        if first is not None:
+            first = replace(first, expansions=first.expansions + sparse.expansions)
+    if first is not None:
+        run.take(first)
+        if options.stop_at_first or run.proven <= options.final_epsilon:
+            return run.quick_result()
+    return run.result(forward_task(request, nodes, costs_um))
+
+
+@dataclass(kw_only=True)
+class _State:
+    """A state of the sparse graph: the body's cell, and the way to it once that is known.
+
+    at (2,): col and row. parent: number of the state before. nodes: the way from the parent, its
+    last node included, its first not. cost_um: to here, or what it is at least. tries: searches.
+    """
+
+    at: Int64s
+    parent: int
+    cost_um: int
+    ahead_um: int
+    is_goal: bool
+    nodes: Int64s = field(default_factory=lambda: np.zeros(0, np.int64))
+    is_reached: bool = False
+    tries: int = 0
+
+
+class _Sparse:
+    """The search of the sparse graph from first steps (n,) with their costs."""
+
+    def __init__(
+        self,
+        request: Request,
+        nodes: Int64s,
+        costs_um: Int64s,
+        options: PlannerOptions,
+        began: float,
+    ) -> None:
+        self.request, self.options, self.began = request, options, began
+        self.nodes, self.costs_um = nodes, costs_um
+        self.expansions = 0
+        self._rng = np.random.default_rng(options.seed)
+        self._states: list[_State] = []
+        self._heap: list[tuple[bool, float, int]] = []
+        space = request.space
+        self._goal_at = np.array([space.origin_col, space.origin_row])
+        ends = request.toward.ends
+        self._goal = Target(
+            cells=np.unique(body_cells_of(request.toward, ends)),
+            nodes=ends,
+            node_um=np.full(len(ends), final_cost_um(request.model)),
+            is_goal=True,
+        )
+
+    def plan(self) -> QuickPath | None:
+        """The plan, improved in a strip around it; None if none was found soon."""
+        if not len(self._goal.nodes):
+            return None
+        cells = body_cells_of(self.request.toward, self.nodes)
+        first = int(cells[np.argmin(self.costs_um)])
+        self._add(self._at(first), parent=-1, cost_um=int(self.costs_um.min()), is_goal=False)
+        self._states[0].is_reached = True
+        while self._heap and not self._is_over():
+            number = heapq.heappop(self._heap)[2]
+            state = self._states[number]
+            if not state.is_reached:
+                self._reach(number)
+            elif state.is_goal:
+                return self._improved(number)
+            else:
+                self._go_on(number)
+        return None
+
+    def _is_over(self) -> bool:
+        limit_s = self.options.time_limit_s
+        late = limit_s is not None and time.perf_counter() - self.began >= limit_s
+        most = min(_MOST_EXPANSIONS, self.options.max_expansions)
+        return late or self.expansions >= most or len(self._states) >= _MOST_STATES
+
+    def _at(self, cell: int) -> Int64s:
+        return np.array([cell % self.request.space.cols, cell // self.request.space.cols])
+
+    def _straight_um(self, at: Int64s, to: Int64s) -> int:
+        guide = self.request.toward.tables.potential
+        return int(straight_cost(to[0] - at[0], to[1] - at[1], guide))
+
+    def _add(self, at: Int64s, *, parent: int, cost_um: int, is_goal: bool) -> None:
+        ahead_um = 0 if is_goal else self._straight_um(at, self._goal_at)
+        state = _State(at=at, parent=parent, cost_um=cost_um, ahead_um=ahead_um, is_goal=is_goal)
+        self._states.append(state)
+        self._push(len(self._states) - 1)
+
+    def _push(self, number: int) -> None:
+        """Into the queue: those that are hard or dear to come to behind the others."""
+        state = self._states[number]
+        dear_um = _WEIGHT * self._straight_um(self._states[0].at, state.at)
+        is_hard = not state.is_reached and state.tries > 0
+        is_dear = number > 0 and state.cost_um > self._states[0].cost_um + dear_um
+        avoid = is_hard or is_dear
+        heapq.heappush(self._heap, (avoid, state.cost_um + _WEIGHT * state.ahead_um, number))
+
+    def _reach(self, number: int) -> None:
+        """Searches for the way from the parent; a state that has none is dropped in the end."""
+        state, toward = self._states[number], self.request.toward
+        parent = self._states[state.parent]
+        roots, root_um = self.nodes, self.costs_um
+        if len(parent.nodes):
+            roots, root_um = parent.nodes[-1:], np.array([parent.cost_um])
+        budget = (_EASY, _HARD)[min(state.tries, 1)]
+        target = self._goal if state.is_goal else target_around(toward, self._disc(state.at))
+        found = search_to(toward, target, roots, root_um, epsilon=_WEIGHT, budget=budget)
+        self.expansions += found.expansions
+        state.tries += 1
+        if len(found.nodes):
+            state.is_reached, state.cost_um = True, found.cost_um
+            state.nodes = found.nodes[1:] if len(parent.nodes) else found.nodes
+            if not len(state.nodes):  # it is where the parent is
+                state.nodes = parent.nodes[-1:]
+        elif state.tries > 1:
+            return
+        self._push(number)
+
+    def _disc(self, at: Int64s) -> Int64s:
+        """Cells around a sub-goal at which it counts as reached."""
+        reach = np.arange(-_TARGET_CELLS, _TARGET_CELLS + 1)
+        col, row = np.meshgrid(reach, reach)
+        near = np.hypot(col, row) <= _TARGET_CELLS
+        return (at[1] + row[near]) * self.request.space.cols + at[0] + col[near]
+
+    def _go_on(self, number: int) -> None:
+        """Adds random states around one, and the goal if it is near."""
+        space, state = self.request.space, self._states[number]
+        apart = _APART_M / space.cell_m
+        if np.hypot(*(self._goal_at - state.at)) <= 1.5 * apart:
+            cost_um = state.cost_um + state.ahead_um
+            self._add(self._goal_at, parent=number, cost_um=cost_um, is_goal=True)
+        reach_m = self.request.toward.tables.potential.reach_m
+        known = np.array([other.at for other in self._states if other.is_reached])
+        turn = self._rng.uniform(0, 2 * math.pi)
+        for k in range(_SUCCESSORS):
+            angle = turn + (k + self._rng.uniform(-0.3, 0.3)) * 2 * math.pi / _SUCCESSORS
+            way = apart * np.array([math.cos(angle), math.sin(angle)])
+            at = state.at + np.rint(way).astype(np.int64)
+            rim = 2 + _TARGET_CELLS
+            if min(at) < rim or at[0] >= space.cols - rim or at[1] >= space.rows - rim:
+                continue
+            crowded = np.hypot(*(known - at).T).min() < 0.4 * apart
+            if crowded or cell_shut(space, int(at[1] * space.cols + at[0]), reach_m):
+                continue
+            cost_um = state.cost_um + self._straight_um(state.at, at)
+            self._add(at, parent=number, cost_um=cost_um, is_goal=False)
+
+    def _improved(self, number: int) -> QuickPath:
+        """The plan to the goal's state, or a better one in the strip along it."""
+        ways, cost_um = [], self._states[number].cost_um + final_cost_um(self.request.model)
+        while number > 0:
+            ways.append(self._states[number].nodes)
+            number = self._states[number].parent
+        nodes = np.concatenate(ways[::-1])
+        best = self._in_strip(nodes, cost_um)
+        self.expansions += best.expansions
+        if len(best.nodes):
+            nodes, cost_um = best.nodes, best.cost_um + final_cost_um(self.request.model)
+        return QuickPath(
+            nodes=nodes,
+            cost_um=cost_um,
+            least_um=min(cost_um, self._least_um()),
+            expansions=self.expansions,
+        )
+
+    def _in_strip(self, nodes: Int64s, cost_um: int) -> Found:
+        toward, space = self.request.toward, self.request.space
+        mask = np.zeros((space.rows, space.cols), np.uint8)
+        mask.reshape(-1)[body_cells_of(toward, nodes)] = 1
+        side = 2 * math.ceil(_STRIP_M / space.cell_m) + 1
+        strip = cv2.dilate(mask, np.ones((side, side), np.uint8)).astype(np.uint8)
+        # First steps elsewhere have no path in the strip, and are left alone.
+        return search_to(
+            toward,
+            self._goal,
+            self.nodes,
+            self.costs_um,
+            epsilon=max(self.options.epsilon, 1.0),
+            budget=min(_STRIP_EXPANSIONS, self.options.max_expansions),
+            mask=strip.reshape(-1),
+            best_um=cost_um,
+        )
+
+    def _least_um(self) -> int:
+        """What any plan costs at least, as far as it is known without seeing the map."""
+        toward = self.request.toward
+        if not toward.region.is_point:
+            return least_toward_goal(self.request, self.nodes, self.costs_um)
+        return least_straight(self.request, self.nodes, self.costs_um)
