@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import mmap
 import os
 import shutil
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import DTypeLike, NDArray
 
 _PREFIX = "numba-"
 _STALE_S = 24 * 3600.0
@@ -43,3 +50,129 @@ def _remove_stale(cache: Path) -> None:
             continue
         if other != cache and time.time() - newest_s > _STALE_S:
             shutil.rmtree(other, ignore_errors=True)
+
+
+# How the loops of this package are compiled.
+#
+# numba counts the references to every array that a function is given, in each call and with locked
+# instructions, also for those that come in tuples: with the spaces, heuristics and trees of a
+# search that took more time than the search itself. A function that makes no arrays need not count
+# any, for its caller holds all that it is given.
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+_jit: Any = njit  # its types do not know of the option
+
+
+def lean(function: _Function) -> _Function:
+    """Compiles a function that makes no arrays, takes none from others and gives none back.
+
+    Nobody would count them. That it makes none the compiler checks.
+    """
+    compiled: _Function = _jit(cache=True, _nrt=False)(function)
+    return compiled
+
+
+def allocating(function: _Function) -> _Function:
+    """Compiles a function that makes arrays; said in so many words for those that `lean` ones call.
+
+    They would else do as their callers do.
+    """
+    compiled: _Function = _jit(cache=True, _nrt=True)(function)
+    return compiled
+
+
+# Arrays over the whole lattice, of which a search touches a small part.
+
+_SMALL_BYTES = 1 << 21
+
+
+def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
+    """Zeros (count,) that take up memory only on the small pages where they are written.
+
+    numpy asks for huge pages: each takes 2 MB and the time to clear them for a single number. Where
+    the system has no other pages, or cannot be asked, these are numpy's own.
+    """
+    size = count * np.dtype(dtype).itemsize
+    if size < _SMALL_BYTES or not hasattr(mmap, "MADV_NOHUGEPAGE"):
+        return np.zeros(count, dtype)
+    memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    memory.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(memory, dtype)
+
+
+def tiled(cols: int, rows: int) -> int:
+    """How many places `in_tiles` has for so many columns and rows."""
+    return (cols // 8 + 1) * (rows // 8 + 1) * 64
+
+
+@lean
+def in_tiles(col: int, row: int, cols: int) -> int:
+    """Place of a cell where those of 8 x 8 cells follow one another, then those of the next.
+
+    A search comes to cells that lie together. Row by row each row of them takes pages of its own.
+    """
+    return (row >> 3) * (cols // 8 + 1) + (col >> 3) << 6 | (row & 7) << 3 | col & 7
+
+
+# Where what is known of a node is kept: in the order in which searches come to the nodes.
+#
+# A search comes to few nodes of a lattice, here and there. In arrays over all of them nearly each
+# would take a page of memory of its own, and the time to clear it. So a block of nodes gets its
+# slots when it is first come to, next to those of the block before.
+
+BITS = 7
+LOW = (1 << BITS) - 1
+
+
+class Slots(NamedTuple):
+    """Slots of all nodes of a lattice that were come to; arrays of so many are `length` long.
+
+    of_block (blocks,): number of the slots of each block of 128 nodes, 0 for none: slots that are
+    never written to. used (1,): how many blocks have any.
+    """
+
+    of_block: NDArray[np.int32]
+    used: NDArray[np.int64]
+
+    @property
+    def length(self) -> int:
+        """How many slots there may be."""
+        return (len(self.of_block) + 1) << BITS
+
+
+def slots_for(nodes: int) -> Slots:
+    """Slots for nodes that are numbered from 0, none in use."""
+    return Slots(zeros((nodes >> BITS) + 1, np.int32), np.zeros(1, np.int64))
+
+
+@lean
+def slot_of(slots: Slots, node: int) -> int:
+    """The slot of a node; one in which nothing is known if it has none."""
+    block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
+    return block << BITS | node & LOW
+
+
+@lean
+def take_slot(slots: Slots, node: int) -> int:
+    """The slot of a node, which it gets if it has none."""
+    block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
+    if block == 0:
+        block = next_block(slots.of_block, slots.used, node)
+    return block << BITS | node & LOW
+
+
+@lean
+def next_block(of_block: NDArray[np.int32], used: NDArray[np.int64], node: int) -> int:
+    """The number of new slots for the block of a node."""
+    used[0] += 1
+    of_block[node >> BITS] = used[0]
+    return used[0]
+
+
+@allocating
+def slots_of(slots: Slots, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """`slot_of` nodes (n,)."""
+    found = np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        found[i] = slot_of(slots, nodes[i])
+    return found

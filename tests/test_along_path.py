@@ -18,11 +18,15 @@ from planner.plan import feet_at, relative_step
 from planner.planner import plan_footsteps
 from planner.robot_model import Side
 from planner.sampling import sampling_planner as sampling
-from planner.sampling.body_motion import outline_of
 from planner.sampling.footsteps_along_path import Strand, dense
-from planner.sampling.ompl_paths import BodyWay
+from planner.sampling.ompl_paths import BodyWay, outline_of
 from planner.sampling.path_headings import face_the_way, turning_rate, walking_rate
-from planner.sampling.window import corridor_along, into_frame, out_of_frame, window_around
+from planner.sampling.sampling_planner import (
+    corridor_along,
+    into_frame,
+    out_of_frame,
+    window_around,
+)
 from planner.verify import violations
 from tests.planner_oracle import small_model
 

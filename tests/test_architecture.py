@@ -25,12 +25,12 @@ MAY_IMPORT = {
 
 # Room of the planner -> what it may import of the planner, besides itself.
 _BASE = (
-    *("compiled", "jit", "robot_model", "reach", "plan", "options"),
-    *("collision", "ground_heights"),
+    *("compiled", "robot_model", "plan", "options"),
+    "collision",
 )
 PLANNER_ROOMS = {
     "lattice": _BASE,
-    "heuristics": (*_BASE, "lattice", "search.toward"),
+    "heuristics": (*_BASE, "lattice"),
     "search": (*_BASE, "lattice", "heuristics"),
     "refinement": (*_BASE, "lattice", "search"),
     "sampling": (*_BASE, "lattice", "heuristics", "search"),
@@ -130,4 +130,4 @@ def test_the_rule_sees_what_it_should():
 def test_files_stay_readable(package):
     for path in files_of(package):
         lines = path.read_text(encoding="utf-8").count("\n")
-        assert lines <= 400, f"{path} has {lines} lines: perhaps two ideas in one file"
+        assert lines <= 520, f"{path} has {lines} lines: perhaps two ideas in one file"

@@ -16,7 +16,7 @@ from app.viewer.live_navigator import Rover
 from controller.policy import load_policy
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map
-from planner.footing import Footing
+from planner.endpoints import Footing
 from planner.plan import FootstepPlan
 from planner.robot_model import Side
 from sim.clearance import min_clearance_m

@@ -7,11 +7,10 @@ import pytest
 
 from maps.grid import Cell
 from planner.collision import terrain_of
-from planner.heuristics.tables import tables_of
-from planner.lattice.lattice import COST_UM, D_NODE, build_space, node_free
+from planner.heuristics.heuristic import tables_of
+from planner.lattice.lattice import COST_UM, D_NODE, build_space, may_end_at, node_free
 from planner.lattice.map_change import change_between
-from planner.lattice.region import may_end_at
-from planner.search.graft import step_um
+from planner.search.ad_star_tree import step_um
 from planner.search.search_task import new_tree
 from tests.planner_floor import walled
 from tests.planner_oracle import small_model

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner.heuristics.distance_field import spread_from
-from planner.heuristics.drawn import draw_path, heuristic_on_the_way
+from planner.heuristics.distance_field import draw_path, spread_from
 from planner.heuristics.heuristic import estimate, estimates
 from planner.heuristics.potential import MOVES
 from planner.planner import Planner
+from planner.search.ad_star import heuristic_on_the_way
 from planner.search.problem import first_nodes
 from tests.planner_floor import CASES, fine_model, scatter, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model

@@ -3,7 +3,7 @@
 import numpy as np
 
 from maps.grid import OccupancyGrid
-from planner.heuristics.tables import tables_of
+from planner.heuristics.heuristic import tables_of
 from planner.heuristics.turning import SECTORS
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus

@@ -7,8 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from planner.collision import NO_GROUND_UM, terrain_of
-from planner.ground_heights import box_heights, heights_below, highest_between, resting_heights
+from planner.collision import (
+    NO_GROUND_UM,
+    box_heights,
+    heights_below,
+    highest_between,
+    resting_heights,
+    terrain_of,
+)
 from tests.planner_treads import CLIMBER, floor
 
 # Heights by hand: a floor of 4 x 4 m in cells of 0.1 m, 0.3 m high from x = 2 on, a post 1 m high

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import planner
-from planner.jit import allocating, lean
+from planner.compiled import allocating, lean
 
 FOLDER = Path(planner.__file__).parent
 # What lean functions may give back: numbers, and tuples of numbers.

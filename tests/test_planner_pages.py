@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planner.lattice.pages import in_tiles, tiled, zeros
+from planner.compiled import in_tiles, tiled, zeros
 
 
 @pytest.mark.parametrize("count", [0, 5, 1 << 22])

@@ -3,9 +3,9 @@
 import numpy as np
 
 from planner.collision import terrain_of
-from planner.heuristics.tables import tables_of
+from planner.heuristics.heuristic import tables_of
 from planner.lattice.lattice import build_space
-from planner.search.places import places_of, takes_place
+from planner.search.best_first import places_of, takes_place
 from tests.planner_floor import FLOOR
 from tests.planner_oracle import small_model
 

@@ -10,9 +10,8 @@ import pytest
 
 from maps.grid import Cell, OccupancyGrid
 from planner.plan import feet_at
-from planner.planner import Planner, plan_footsteps
+from planner.planner import Planner, plan_footsteps, plan_through
 from planner.robot_model import Side
-from planner.through import plan_through
 from planner.verify import violations
 from tests.planner_oracle import small_model
 from tests.planner_refined import (

@@ -14,7 +14,15 @@ from maps.grid import OccupancyGrid
 from planner.collision import terrain_of
 from planner.lattice.steps import feet_apart
 from planner.planner import Planner
-from planner.refinement.constraints import add, new_work, note_costs, note_rules, take_block
+from planner.refinement.constraints import (
+    WAYS,
+    add,
+    new_work,
+    note_costs,
+    note_rules,
+    room_off_blocked,
+    take_block,
+)
 from planner.refinement.cost import (
     build_rules,
     chain_cost_um,
@@ -23,7 +31,6 @@ from planner.refinement.cost import (
     step_between,
 )
 from planner.refinement.interior_point import _solve
-from planner.refinement.keep_off import WAYS, room_off_blocked
 from planner.robot_model import Side
 from tests.planner_oracle import small_model
 from tests.planner_refined import (

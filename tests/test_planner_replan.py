@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell
-from planner.lattice.slots import slots_of
+from planner.compiled import slots_of
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
+from planner.search.ad_star_tree import step_um
 from planner.search.best_first import FROM_START
-from planner.search.graft import step_um
 from planner.verify import violations
 from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, small_model

@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 
 from maps.grid import OccupancyGrid
-from planner.heuristics import rounded_spread
-from planner.heuristics.rounded_plans import Rounded, body_points, rounded_bound, rounded_steps
-from planner.heuristics.rounded_spread import rounded_costs
-from planner.heuristics.tables import tables_of
+from planner.heuristics import rounded_plans
+from planner.heuristics.heuristic import tables_of
+from planner.heuristics.rounded_plans import (
+    Rounded,
+    body_points,
+    rounded_bound,
+    rounded_costs,
+    rounded_steps,
+)
 from planner.options import PlannerOptions
 from planner.planner import plan_footsteps
-from planner.search import ara_star as run
-from planner.search import sharpen
+from planner.search import ara_star
+from planner.search.ara_star import sharpened
 from planner.search.problem import first_nodes
 from planner.search.search_task import forward_task
 from tests.planner_floor import CASES, fine_model, scatter
@@ -125,7 +130,7 @@ def test_no_bound_is_too_high_for_plans_below_the_limit_on_random_floors(seed):
     from_m, to_m = oracle.costs_from(firsts), oracle.costs_to_go(start)
     limit_m = 1.2 * min(from_m[node] + to_m[node] for node in from_m.keys() & to_m.keys())
     task = forward_task(request, nodes, costs_um)
-    sharp = sharpen.sharpened(request, task, round(limit_m * 1e6), lambda: True)
+    sharp = sharpened(request, task, round(limit_m * 1e6), lambda: True)
     assert sharp is not None
     below = 0
     for node in from_m.keys() & to_m.keys():
@@ -147,9 +152,9 @@ def test_a_sharpened_search_finds_the_optimum_with_fewer_states(monkeypatch):
         start, goal = (0.5, 0.5, rng.uniform(-3, 3)), (2.7, 2.6, rng.uniform(-3, 3))
         for reach_m in (0.0, 0.15):
             asked = replace(options, goal_reach_m=reach_m)
-            monkeypatch.setattr(run, "_BLUNT", 10**9)
+            monkeypatch.setattr(ara_star, "_BLUNT", 10**9)
             first = plan_footsteps(grid, model, start=start, goal=goal, options=asked)
-            monkeypatch.setattr(run, "_BLUNT", 0)
+            monkeypatch.setattr(ara_star, "_BLUNT", 0)
             second = plan_footsteps(grid, model, start=start, goal=goal, options=asked)
             assert first.epsilon == second.epsilon == 1.0
             assert second.cost_m == pytest.approx(first.cost_m, abs=1e-9)
@@ -161,7 +166,7 @@ def test_a_grid_that_would_be_too_large_and_one_that_takes_too_long_are_left(mon
     grid, start, goal = CASES["wall"]
     request = request_of(grid, small_model(), start, goal)
     task = forward_task(request, *first_nodes(request))
-    assert sharpen.sharpened(request, task, FAR_UM, lambda: True) is not None
-    assert sharpen.sharpened(request, task, FAR_UM, lambda: False) is None
-    monkeypatch.setattr(rounded_spread, "MOST_STATES", 1000)
-    assert sharpen.sharpened(request, task, FAR_UM, lambda: True) is None
+    assert sharpened(request, task, FAR_UM, lambda: True) is not None
+    assert sharpened(request, task, FAR_UM, lambda: False) is None
+    monkeypatch.setattr(rounded_plans, "MOST_STATES", 1000)
+    assert sharpened(request, task, FAR_UM, lambda: True) is None

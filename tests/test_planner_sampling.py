@@ -173,7 +173,7 @@ def test_stairs_are_climbed():
 
 def test_a_search_by_ara_does_not_load_ompl():
     code = (
-        "import sys, app.commands.plan, planner.planner, planner.backends as b; b.backend('ara');"
+        "import sys, app.commands.plan, planner.planner, planner.planner as b; b.backend('ara');"
         "assert 'ompl' not in sys.modules;"
         "b.backend('fmt'); assert 'ompl' in sys.modules"
     )

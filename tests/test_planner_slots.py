@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planner.lattice.slots import slot_of, slots_for, slots_of, take_slot
+from planner.compiled import slot_of, slots_for, slots_of, take_slot
 
 
 def test_nodes_get_slots_of_their_own_in_the_order_they_are_come_to():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planner.collision import terrain_of
-from planner.heuristics.tables import tables_of
+from planner.heuristics.heuristic import tables_of
 from planner.heuristics.wavefront import (
     EVERYWHERE,
     NO_CELLS,

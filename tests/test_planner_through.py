@@ -7,8 +7,7 @@ import pytest
 
 from maps.grid import Cell, OccupancyGrid
 from planner.plan import PlanStatus, feet_at
-from planner.planner import Planner
-from planner.through import plan_through
+from planner.planner import Planner, plan_through
 from planner.verify import violations
 from tests.planner_oracle import small_model
 

@@ -99,8 +99,7 @@ def run(options: PlanOptions) -> int:
     grid = read_grid(options)
 
     # Here and not above: the compiled search takes a second to load, bad input need not wait.
-    from planner.planner import Planner
-    from planner.through import plan_through
+    from planner.planner import Planner, plan_through
 
     planner = Planner(grid, robot.step_model, search)
     plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])

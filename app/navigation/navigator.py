@@ -16,7 +16,7 @@ from controller.step_cursor import Track
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
 from maps.terraces import terraces_of
-from planner.footing import Footing
+from planner.endpoints import Footing
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, pair_pose, wrap_angle
 from planner.planner import Planner

@@ -13,7 +13,7 @@ from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
-from planner.footing import Footing
+from planner.endpoints import Footing
 from planner.plan import FootstepPlan, feet_at, pair_pose
 from planner.robot_model import Side
 

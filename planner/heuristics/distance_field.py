@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.compiled import lean
 from planner.heuristics.goal_table import Endgame
 from planner.heuristics.potential import Potential
 from planner.heuristics.wavefront import (
@@ -22,7 +23,6 @@ from planner.heuristics.wavefront import (
     moves_of,
     spread_costs,
 )
-from planner.jit import lean
 from planner.lattice.lattice import Int64s, Space
 
 _LARGE = 1 / 8
@@ -226,3 +226,52 @@ def _raise_outside(
                 continue
             if cost_um[cell] > 0:
                 cost_um[cell] = max(cost_um[cell], ring_um[cell])
+
+
+# Path costs of the body, exact on the way to where they are asked for and bounds elsewhere.
+#
+# A* with the straight way s to the cells asked for, stopped once every path with cost D and D + s
+# below S is known. A cell c that was not settled has D(c) + s(c) >= S, so S - s(c) never exceeds
+# D(c). A move changes D and s by no more than it costs, so D where it is settled and S - s
+# elsewhere, taken together, do not change by more either: they are a consistent heuristic, wherever
+# the search for steps goes. The nearer it comes to what is asked for the fewer cells there are.
+
+FURTHER_UM = 500_000
+
+
+def draw_path(
+    space: Space,
+    guide: Potential,
+    cells: Int64s,
+    costs_um: Int64s,
+    wanted: Int64s,
+    further_um: int = FURTHER_UM,
+) -> BodyPath:
+    """Path costs of the body's cells from the cells (n,), each with its own cost.
+
+    Exact where paths pass that lead to one of the wanted cells (k,) for further_um more than the
+    cheapest; elsewhere they may be too low. Nowhere if no wanted cell can be reached.
+    """
+    ahead = ahead_of(space, guide, wanted)
+    cost_um = np.zeros(space.cols * space.rows, np.int32)
+    # The way to the last of what is wanted may be longer than to the first by twice the slack.
+    beyond_um = 2 * ahead.slack_um + further_um + int(guide.move_um.max())
+    moves = moves_of(guide)
+    settled_um = spread_costs(
+        space, cost_um, cells, costs_um, moves, wanted, beyond_um, EVERYWHERE, ahead
+    )
+    if settled_um < NOWHERE_UM:
+        _bound_unsettled(cost_um, space.cols, settled_um, ahead)
+    return BodyPath(cost_um, NOWHERE_UM)
+
+
+@lean
+def _bound_unsettled(cost_um: NDArray[np.int32], cols: int, settled_um: int, ahead: Ahead) -> None:
+    """Puts the bound in place of costs that are not known to be the least."""
+    for cell in range(len(cost_um)):
+        if cost_um[cell] == SHUT_CELL:
+            continue
+        row = cell // cols
+        least_um = settled_um - ahead_um(ahead, cell - row * cols, row)
+        if cost_um[cell] == 0 or cost_um[cell] - 1 >= least_um:
+            cost_um[cell] = max(least_um, 0) + 1

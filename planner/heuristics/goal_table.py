@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.compiled import lean
 from planner.heuristics.potential import Potential
-from planner.jit import lean
 from planner.lattice.steps import IntArray, StepTable, final_cost_um, moved_cells
 from planner.robot_model import StepModel
 

@@ -25,8 +25,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.lattice.lattice import Int64s
 from planner.lattice.steps import MICRO, IntArray, StepTable, final_cost_um, moved_cells
 from planner.robot_model import Side, StepModel
+
+
+def body_cells_from(potential: Potential, cols: int) -> Int64s:
+    """The body's cell from a foot's cell as a difference of cell numbers (2 H,)."""
+    return (potential.body_row * cols + potential.body_col).reshape(-1)
+
 
 FloatArray = NDArray[np.float64]
 MOVES = np.array(

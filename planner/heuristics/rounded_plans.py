@@ -32,15 +32,19 @@ both axes; for that the box that all those have in common must be.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.collision import box_free
+from planner.compiled import lean, zeros
 from planner.heuristics.potential import Potential
-from planner.jit import lean
-from planner.lattice.lattice import Int64s
-from planner.lattice.steps import MICRO, StepTable
+from planner.heuristics.wavefront import NOWHERE_UM
+from planner.lattice.lattice import BLOCKED, FREE, UNKNOWN, Int32s, Int64s, Space, to_grid
+from planner.lattice.steps import MICRO, StepTable, final_cost_um
 from planner.robot_model import StepModel
 
 FloatArray = NDArray[np.float64]
@@ -136,3 +140,221 @@ def rounded_steps(model: StepModel, table: StepTable, guide: Potential, spacing_
     for row, found in enumerate(by_end):
         steps[row, : len(found)] = found
     return steps
+
+
+# The costs V of `rounded.py`: Dijkstra's search from the ends of a plan over the coarse grid.
+
+MOST_STATES = 1 << 28  # of a grid
+_TURN = 1 << 12  # states between two looks at whether to go on
+_USED, _SPARE, _WAITING, _BUCKET = range(4)
+
+
+class Work(NamedTuple):
+    """A search on its way: a ring of buckets, one least step wide, and what it knows of the map.
+
+    head (buckets,), node (n,), after (n,): stacks of entries; scalars (4,): how many entries were
+    used, the first of those to be used again, how many wait, and the bucket that is due.
+    box_state (rows * cols * H,): UNKNOWN, FREE or BLOCKED. before_um (rows * cols,): what any way
+    costs at least that leads from the start to near a point.
+    """
+
+    steps: Int64s
+    rows: int
+    spacing_m: float
+    width_um: int
+    head: Int64s
+    node: Int32s
+    after: Int32s
+    scalars: Int64s
+    box_state: NDArray[np.uint8]
+    before_um: NDArray[np.int32]
+
+
+def rounded_costs(
+    space: Space,
+    model: StepModel,
+    steps: Int64s,
+    spacing_m: float,
+    ends: Int64s,
+    start_um: NDArray[np.int32],
+    limit_um: int,
+    go_on: Callable[[], bool],
+) -> Rounded | None:
+    """The bound for plans that end at one of the nodes (n,) and cost less than limit_um.
+
+    None where the grid would have too many states, or as soon as go_on says so. steps: see
+    `rounded_steps`. start_um (rows * cols,): what any way from the start costs at least with the
+    body in a cell of the lattice, NOWHERE_UM where none leads. A node that belongs to no such plan
+    may have any bound that is not below what is then left of limit_um.
+    """
+    fine = space.cell_m / spacing_m
+    states = 2 * space.headings
+    # As much more on all sides as a body's point can lie off its foot's node.
+    rim = math.ceil(model.stance_width_m / spacing_m) + 2
+    col, row = (math.floor(v * fine) + rim for v in (space.origin_col, space.origin_row))
+    cols, rows = (math.ceil(v * fine) + 2 * rim + 1 for v in (space.cols, space.rows))
+    if cols * rows * states > MOST_STATES:
+        return None
+    body = body_points(model) / spacing_m
+    rounded = Rounded(zeros(cols * rows * states, np.int32), body, fine, cols, col, row, limit_um)
+    costs_um = steps[..., 3][steps[..., 3] > 0]
+    width_um = int(costs_um.min())
+    buckets = 1 << int(costs_um.max() // width_um + 1).bit_length()
+    work = Work(
+        steps,
+        rows,
+        spacing_m,
+        width_um,
+        np.full(buckets, -1, np.int64),
+        np.empty(0, np.int32),
+        np.empty(0, np.int32),
+        np.array([0, -1, 0, 0]),
+        zeros(cols * rows * space.headings, np.uint8),
+        _near_points(space, rounded, rows, start_um),
+    )
+    seeds = _points_around(space, rounded, ends)
+    work = _with_room(work, len(seeds))
+    _seed(rounded, work, seeds, final_cost_um(model))
+    while work.scalars[_WAITING] > 0:
+        if not go_on():
+            return None
+        work = _with_room(work, _TURN * steps.shape[1])
+        _spread(space, rounded, work, _TURN)
+    return rounded
+
+
+def _points_around(space: Space, rounded: Rounded, nodes: Int64s) -> Int64s:
+    """The grid's states (m,) that nodes (n,) may be rounded to."""
+    states = 2 * space.headings
+    state, cell = nodes % states, nodes // states
+    x = (cell % space.cols - space.origin_col) * rounded.fine + rounded.body[state, 0]
+    y = (cell // space.cols - space.origin_row) * rounded.fine + rounded.body[state, 1]
+    found = []
+    for up, right in np.ndindex(2, 2):
+        # What lies on the grid is rounded to one point only.
+        col = np.floor(x + (1.0 - NOTHING if right else NOTHING)) + rounded.origin_col
+        row = np.floor(y + (1.0 - NOTHING if up else NOTHING)) + rounded.origin_row
+        found.append((row * rounded.cols + col).astype(np.int64) * states + state)
+    return np.unique(np.concatenate(found))
+
+
+def _near_points(
+    space: Space, rounded: Rounded, rows: int, start_um: NDArray[np.int32]
+) -> NDArray[np.int32]:
+    """The least of costs (space.rows * space.cols,) of body cells within a of each grid point."""
+    reach = math.ceil(1 / rounded.fine) + 1  # the body's cell is rounded, and so is the point
+    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    least_um = cv2.erode(
+        start_um.reshape(space.rows, space.cols).astype(np.float64),
+        square,
+        borderType=cv2.BORDER_CONSTANT,
+        borderValue=NOWHERE_UM,
+    )
+    col = np.rint((np.arange(rounded.cols) - rounded.origin_col) / rounded.fine).astype(np.int64)
+    row = np.rint((np.arange(rows) - rounded.origin_row) / rounded.fine).astype(np.int64)
+    col, row = col + space.origin_col, row + space.origin_row
+    col_on, row_on = (col >= 0) & (col < space.cols), (row >= 0) & (row < space.rows)
+    near_um = np.full((rows, rounded.cols), NOWHERE_UM, np.int32)
+    near_um[np.ix_(row_on, col_on)] = least_um[np.ix_(row[row_on], col[col_on])]
+    return near_um.reshape(-1)
+
+
+def _with_room(work: Work, entries: int) -> Work:
+    """The search with room for so many more entries."""
+    used = int(work.scalars[_USED])
+    if used + entries <= len(work.node):
+        return work
+    room = 2 * used + entries
+    node, after = np.empty(room, np.int32), np.empty(room, np.int32)
+    node[:used], after[:used] = work.node[:used], work.after[:used]
+    return work._replace(node=node, after=after)
+
+
+@lean
+def _seed(rounded: Rounded, work: Work, seeds: Int64s, seed_um: int) -> None:
+    """Begins with states (n,) at a cost."""
+    for i in range(len(seeds)):
+        rounded.cost_um[seeds[i]] = seed_um
+        _put(work, seeds[i], seed_um)
+    work.scalars[_BUCKET] = seed_um // work.width_um
+
+
+@lean
+def _put(work: Work, state: int, cost_um: int) -> None:
+    """Adds an entry for a state; there must be room for it."""
+    scalars = work.scalars
+    entry = scalars[_SPARE]
+    if entry >= 0:
+        scalars[_SPARE] = work.after[entry]
+    else:
+        entry = scalars[_USED]
+        scalars[_USED] = entry + 1
+    at = cost_um // work.width_um & len(work.head) - 1
+    work.node[entry], work.after[entry] = state, work.head[at]
+    work.head[at] = entry
+    scalars[_WAITING] += 1
+
+
+@lean
+def _spread(space: Space, rounded: Rounded, work: Work, budget: int) -> None:
+    """Goes on for so many states, or until none waits."""
+    cost_um, cols, limit_um = rounded.cost_um, rounded.cols, rounded.frontier_um
+    steps, scalars, box_state, before_um = work.steps, work.scalars, work.box_state, work.before_um
+    states = len(rounded.body)
+    while scalars[_WAITING] > 0 and budget > 0:
+        bucket = scalars[_BUCKET]
+        entry = work.head[bucket & len(work.head) - 1]
+        if entry < 0:
+            scalars[_BUCKET] = bucket + 1
+            continue
+        state: int = np.int64(work.node[entry])  # type: ignore[assignment]
+        work.head[bucket & len(work.head) - 1] = work.after[entry]
+        work.after[entry] = scalars[_SPARE]
+        scalars[_SPARE] = entry
+        scalars[_WAITING] -= 1
+        here = np.int64(cost_um[state])
+        if here // work.width_um != bucket:
+            continue  # it came to cost less
+        budget -= 1
+        point = state // states
+        row = state - point * states
+        up = point // cols
+        across = point - up * cols
+        for k in range(steps.shape[1]):
+            cost = here + steps[row, k, 3]
+            if cost == here:
+                break
+            col, line = across - steps[row, k, 0], up - steps[row, k, 1]
+            if col < 0 or line < 0 or col >= cols or line >= work.rows:
+                continue
+            at = line * cols + col
+            before = at * states + steps[row, k, 2]
+            old = np.int64(cost_um[before])
+            if old != 0 and cost >= old:
+                continue
+            if cost + before_um[at] >= limit_um:
+                continue
+            if old == 0:
+                if box_state[before >> 1] == UNKNOWN:
+                    box_state[before >> 1] = _box_state(space, rounded, work, at, before)
+                if box_state[before >> 1] == BLOCKED:
+                    continue
+            cost_um[before] = cost
+            _put(work, before, cost)
+
+
+@lean
+def _box_state(space: Space, rounded: Rounded, work: Work, point: int, state: int) -> int:
+    """FREE unless what the body's boxes within a of a point all have in common is not."""
+    turn = state % len(rounded.body) & ~1  # in half bins
+    angle = turn * (math.pi / space.headings)
+    shrink_m = work.spacing_m * (abs(math.cos(angle)) + abs(math.sin(angle)))
+    half_l, half_w = space.body[0] - shrink_m, space.body[1] - shrink_m
+    if half_l <= 0.0 or half_w <= 0.0:
+        return FREE
+    x = (point % rounded.cols - rounded.origin_col) * work.spacing_m
+    y = (point // rounded.cols - rounded.origin_row) * work.spacing_m
+    x, y = to_grid(space, x, y)
+    if box_free(space.terrain, x, y, space.cos[turn], space.sin[turn], half_l, half_w):
+        return FREE
+    return BLOCKED

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain, clearance_at, point_clearance
+from planner.compiled import allocating, lean
 from planner.heuristics.potential import MOVES, Potential
-from planner.jit import allocating, lean
 from planner.lattice.lattice import Int64s, Space
 
 NOWHERE_UM = 1 << 30

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import box_free, clearance_at
-from planner.jit import allocating, lean
-from planner.lattice.lattice import Space, clearance_cost, node_free, radius_of
-from planner.lattice.rise import first_climbs
+from planner.compiled import allocating, lean
+from planner.lattice.lattice import Space, clearance_cost, first_climbs, node_free, radius_of
 from planner.lattice.steps import allowed, step_cost_um
 from planner.robot_model import Side, StepModel
 

@@ -14,11 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
-from planner.collision import Terrain, box_free, clearance_at, point_clearance
-from planner.ground_heights import box_heights
-from planner.jit import lean
-from planner.lattice.pages import zeros
-from planner.lattice.slots import Slots, slots_for, take_slot
+from planner.collision import (
+    NEAR_M,
+    NO_GROUND_UM,
+    Terrain,
+    box_free,
+    box_heights,
+    clearance_at,
+    highest_between,
+    point_clearance,
+)
+from planner.compiled import Slots, allocating, lean, slot_of, slots_for, take_slot, zeros
 from planner.lattice.steps import MICRO, StepTable
 from planner.robot_model import StepModel
 
@@ -319,3 +325,190 @@ def clearance_cost(space: Space, clearance_m: float) -> int:
     if clearance_m >= wanted_m:
         return 0
     return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))
+
+
+# Goals that are regions: any pose near the one asked for may be the end of a plan.
+#
+# A plan ends with a foot at a node and the other one put down beside it, a stance width away. Every
+# node thus stands for one final pose of both feet, and a region of poses for many nodes.
+
+_ROUNDING = 1e-9
+
+
+class Region(NamedTuple):
+    """How far from the goal, and how far turned, the pair pose of both feet may be in the end."""
+
+    reach_m: float = 0.0
+    reach_rad: float = 0.0
+
+    @property
+    def is_point(self) -> bool:
+        """Whether the goal itself is the only end."""
+        return self.reach_m == 0.0 and self.reach_rad == 0.0
+
+
+def ends_in(space: Space, region: Region) -> Int64s:
+    """Nodes (n,), in rising order, beside which the other foot may be put down as the last."""
+    reach = math.ceil((region.reach_m + 2 * space.half_stance_m) / space.cell_m) + 1
+    bins = min(math.ceil(region.reach_rad * space.headings / (2 * np.pi)), space.headings // 2)
+    col, row, heading, side = (
+        v.reshape(-1)
+        for v in np.meshgrid(
+            np.arange(-reach, reach + 1),
+            np.arange(-reach, reach + 1),
+            np.unique(np.arange(-bins, bins + 1) % space.headings),
+            np.arange(2),
+            indexing="ij",
+        )
+    )
+    across, up = col + space.origin_col, row + space.origin_row
+    nodes = ((up * space.cols + across) * space.headings + heading) * 2 + side
+    on_map = (across >= 0) & (up >= 0) & (across < space.cols) & (up < space.rows)
+    nodes = np.sort(nodes[on_map])
+    return nodes[_may_end(space, nodes, region.reach_m, region.reach_rad)]
+
+
+POINT = Region()
+
+
+@lean
+def beside(space: Space, node: int) -> tuple[float, float, float, float]:
+    """Where the other foot stands beside that of a node, and where the body is: x, y, x, y.
+
+    In the frame of the lattice.
+    """
+    heading = (node >> 1) % space.headings
+    cell = (node >> 1) // space.headings
+    out = (1 - 2 * (node & 1)) * space.half_stance_m
+    yaw = heading * (2.0 * math.pi / space.headings)
+    x = (cell % space.cols - space.origin_col) * space.cell_m
+    y = (cell // space.cols - space.origin_row) * space.cell_m + out
+    over_x, over_y = out * math.sin(yaw), -out * math.cos(yaw)
+    return x + 2.0 * over_x, y + 2.0 * over_y, x + over_x, y + over_y
+
+
+@lean
+def may_end_at(space: Space, node: int) -> bool:
+    """Whether both feet may stand side by side, one of them at a node."""
+    if not node_free(space, node):
+        return False
+    foot_x, foot_y, _, _ = beside(space, node)
+    x, y = to_grid(space, foot_x, foot_y)
+    heading = (node >> 1) % space.headings
+    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
+    if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
+        return False
+    if len(space.node_um) == 0:
+        return True
+    low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
+    rise = abs(high - space.node_um[slot_of(space.slots, node)])
+    lowest, highest, level, _ = space.climb_um
+    return low != NO_GROUND_UM and high - low <= level and rise <= min(-lowest, highest, level)
+
+
+@lean
+def height_beside(space: Space, node: int) -> int:
+    """Height in micrometres of the ground under the other foot beside that of a node."""
+    if len(space.node_um) == 0:
+        return 0
+    foot_x, foot_y, _, _ = beside(space, node)
+    x, y = to_grid(space, foot_x, foot_y)
+    heading = (node >> 1) % space.headings
+    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
+    return box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])[1]
+
+
+@allocating
+def _may_end(space: Space, nodes: Int64s, reach_m: float, reach_rad: float) -> NDArray[np.bool_]:
+    """Which of the nodes (n,) stand for free poses of the region."""
+    free = np.zeros(len(nodes), np.bool_)
+    for i in range(len(nodes)):
+        heading = (nodes[i] >> 1) % space.headings
+        turn = min(heading, space.headings - heading) * (2.0 * math.pi / space.headings)
+        _, _, x, y = beside(space, nodes[i])
+        near = turn <= reach_rad + _ROUNDING and math.hypot(x, y) <= reach_m + _ROUNDING
+        free[i] = near and may_end_at(space, nodes[i])
+    return free
+
+
+# Whether a step between two places on uneven ground can be made: its rise and what it swings over.
+#
+# Before a step the swinging foot stands somewhere that the search no longer knows. Every swing is
+# therefore taken to pass beside the support foot, a stance width away and parallel to it, and each
+# step answers for two ways: that of its own foot from beside the support foot to its place, and
+# that of the support foot, which swings next, from its place to beside the foot just put down. Over
+# both the ground must be no higher than what the swing clears.
+
+Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
+
+
+@lean
+def node_foot(space: Space, node: int) -> tuple[float, float, float, float]:
+    """Where the foot of a node is, x and y in the grid frame, and cosine and sine of its yaw."""
+    heading = (node >> 1) % space.headings
+    cell = (node >> 1) // space.headings
+    row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
+    foot_y = row * space.cell_m + (1 - 2 * (node & 1)) * space.half_stance_m
+    x, y = to_grid(space, col * space.cell_m, foot_y)
+    return x, y, space.cos[2 * heading], space.sin[2 * heading]
+
+
+@lean
+def step_climbs(space: Space, support: int, swing: int) -> bool:
+    """Whether the step between two free nodes is within the limits of rise and of its swing.
+
+    The space must not be flat.
+    """
+    support_um = space.node_um[slot_of(space.slots, support)]
+    swing_um = space.node_um[slot_of(space.slots, swing)]
+    rise = swing_um - support_um
+    if rise < space.climb_um[0] or rise > space.climb_um[1]:
+        return False
+    foot = node_foot(space, support)
+    highest = max(support_um, swing_um) + space.climb_um[3]
+    if _lower_around(space, foot, highest):
+        return True
+    return swing_clears(space, foot, node_foot(space, swing), swing & 1, highest)
+
+
+@lean
+def first_climbs(space: Space, support: Foot, support_um: int, swing: int) -> bool:
+    """As `step_climbs`, from a foot that stands anywhere."""
+    swing_um = space.node_um[slot_of(space.slots, swing)]
+    rise = swing_um - support_um
+    if rise < space.climb_um[0] or rise > space.climb_um[1]:
+        return False
+    highest = max(support_um, swing_um) + space.climb_um[3]
+    return swing_clears(space, support, node_foot(space, swing), swing & 1, highest)
+
+
+@lean
+def _lower_around(space: Space, foot: Foot, highest: int) -> bool:
+    """Whether all ground that a step from this foot can have to do with is no higher."""
+    terrain: Terrain = space.terrain
+    if space.swing_reach_m > NEAR_M:
+        return False
+    rows, cols = terrain.blocked.shape
+    row = min(max(math.floor(foot[1] / terrain.resolution_m), 0), rows - 1)
+    col = min(max(math.floor(foot[0] / terrain.resolution_m), 0), cols - 1)
+    return terrain.highest_um[row, col] <= highest
+
+
+@lean
+def swing_clears(space: Space, support: Foot, swing: Foot, side: int, highest: int) -> bool:
+    """Whether the ground on both ways that a step answers for is no higher than that (um).
+
+    side: that of the swing foot, 0 left, 1 right.
+    """
+    stance_m = 2.0 * space.half_stance_m * (1 - 2 * side)
+    beside_support = support[0] - support[3] * stance_m, support[1] + support[2] * stance_m
+    beside_swing = swing[0] + swing[3] * stance_m, swing[1] - swing[2] * stance_m
+    to_swing = highest_between(
+        space.terrain, beside_support, (swing[0], swing[1]), swing[2], swing[3], space.sole
+    )
+    if to_swing > highest:
+        return False
+    from_support = highest_between(
+        space.terrain, (support[0], support[1]), beside_swing, support[2], support[3], space.sole
+    )
+    return from_support <= highest

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.jit import lean
+from planner.compiled import lean, slot_of
 from planner.lattice.lattice import D_COL, D_ROW, UNKNOWN, Int64s, Space
-from planner.lattice.slots import slot_of
 
 
 @dataclass(frozen=True, kw_only=True)

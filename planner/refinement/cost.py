@@ -12,11 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import NO_GROUND_UM, box_free, point_clearance
-from planner.ground_heights import box_heights
-from planner.jit import lean
-from planner.lattice.lattice import Space, clearance_cost
-from planner.lattice.rise import swing_clears
+from planner.collision import NO_GROUND_UM, box_free, box_heights, point_clearance
+from planner.compiled import lean
+from planner.lattice.lattice import Space, clearance_cost, swing_clears
 from planner.lattice.steps import MICRO
 from planner.robot_model import StepModel
 

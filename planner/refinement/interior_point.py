@@ -13,9 +13,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import allocating, lean
+from planner.compiled import allocating, lean
 from planner.lattice.steps import MICRO
 from planner.refinement.constraints import (
+    SPARE_M,
     Work,
     add,
     new_work,
@@ -25,7 +26,6 @@ from planner.refinement.constraints import (
     take_block,
 )
 from planner.refinement.cost import NOT_ALLOWED, Rules, chain_cost_um
-from planner.refinement.keep_off import SPARE_M
 
 FloatArray = NDArray[np.float64]
 _MOST_M, _MOST_RAD = 0.06, 0.15  # that a pose moves in one iteration

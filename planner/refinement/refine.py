@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import allocating
+from planner.compiled import allocating
 from planner.lattice.steps import MICRO
 from planner.plan import wrap_angle
 from planner.refinement.cost import (

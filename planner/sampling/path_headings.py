@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.jit import allocating, lean
+from planner.compiled import allocating, lean
 from planner.lattice.steps import step_cost_um
 from planner.plan import wrap_angle
 from planner.robot_model import StepModel
-from planner.sampling.body_motion import Outline, can_stand
+from planner.sampling.ompl_paths import Outline, can_stand
 
 FloatArray = NDArray[np.float64]
 _HEADINGS = 64

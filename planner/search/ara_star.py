@@ -4,29 +4,70 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from planner.heuristics.rounded_plans import rounded_costs, rounded_steps
+from planner.heuristics.wavefront import NOWHERE_UM
 from planner.lattice.lattice import Int64s
 from planner.lattice.steps import MICRO
 from planner.options import FULL, PlannerOptions
 from planner.plan import PlanStatus
 from planner.search import best_first as search
-from planner.search.best_first import Tree
-from planner.search.first_plan import QuickPath
+from planner.search.best_first import Tree, expanded_in_cells, trace
+from planner.search.coarse_to_fine import least_straight, on_coarse, on_fine
+from planner.search.first_plan import NO_WAY, QuickPath, is_cut_off, quick_path
 from planner.search.problem import (
     Request,
     Result,
     SearchRecord,
     failure,
+    first_nodes,
     found,
+    no_first_step,
     no_way,
 )
 from planner.search.reachability import Flood, Verdict, new_flood, spread
-from planner.search.reading import expanded_in_cells, trace
-from planner.search.search_task import Task
-from planner.search.sharpen import sharpened
+from planner.search.search_task import (
+    Task,
+    backward_task,
+    forward_task,
+    heuristic_toward_start,
+    least_toward_goal,
+)
+
+# A search goes on with the bound of `rounded.py`, once it is worth what that takes to make.
+
+_SPACING_M = 0.03  # at least
+
+
+def sharpened(
+    request: Request, task: Task, limit_um: int, go_on: Callable[[], bool]
+) -> Task | None:
+    """A search from the start with a sharper bound, good for plans that cost less than limit_um.
+
+    None where the grid would be too large, or as soon as go_on says so.
+    """
+    space, tables = task.space, request.toward.tables
+    # Most steps are whole cells, and what is a whole number of the grid's as well is not rounded.
+    spacing_m = math.ceil(_SPACING_M / space.cell_m - 1e-9) * space.cell_m
+    behind = heuristic_toward_start(request, task.roots, task.root_um)
+    start_um = np.where(
+        behind.cost_um > 0, behind.cost_um - 1 + int(behind.potential_um.min()), NOWHERE_UM
+    )
+    steps = rounded_steps(request.model, tables.steps, tables.potential, spacing_m)
+    rounded = rounded_costs(
+        space, request.model, steps, spacing_m, request.toward.ends, start_um, limit_um, go_on
+    )
+    if rounded is None:
+        return None
+    # The bound by the rim of a circle adds nothing to this one: all is within the circle.
+    everywhere = space.cols + space.rows
+    heuristic = task.heuristic._replace(rounded=rounded, radius_cells=everywhere)
+    return replace(task, heuristic=heuristic)
+
 
 _QUICK = -1  # in place of a node: the plan that was found before the search proper
 # Expansions after which a search for a proof is given a sharper bound, which takes long to make.
@@ -301,3 +342,116 @@ class Run:
 def _next_epsilon(epsilon: float) -> float:
     """The next weight: two fifths of what is above 1, and 1 itself once that is little."""
     return 1.0 + 0.4 * (epsilon - 1.0) if epsilon > 1.3 else 1.0
+
+
+# The planners that search the lattice anew: ARA* and A* from the start, ARA* from the goal.
+
+_COARSE = 1_000_000  # expansions on a coarse lattice, whose plan helps the search of the fine one
+
+
+def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
+    """Searches from the start until epsilon is proven or a limit of the options is reached.
+
+    began: time.perf_counter() of the request's arrival, from which times count.
+    """
+    nodes, costs_um = first_nodes(request)
+    if not len(nodes):
+        return no_first_step(request)
+    run = Run(request, options, began)
+    quick = plan_on_coarse(request, nodes, costs_um, options, began)
+    if quick is not None:
+        run.options = replace(options, epsilon=1.0)  # only the proof is missing
+    else:
+        quick = quick_plan(request, nodes, costs_um, options)
+    if quick is NO_WAY:
+        return no_way()
+    if quick is not None:
+        run.take(quick)
+        if options.stop_at_first or run.proven <= options.final_epsilon:
+            return run.quick_result()
+    return run.result(forward_task(request, nodes, costs_um))
+
+
+def plan_on_coarse(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions, began: float
+) -> QuickPath | None:
+    """A plan of the coarse lattice, improved there; None where there is none, or no such lattice.
+
+    nodes (n,), costs_um (n,): first steps on the fine lattice.
+    """
+    coarse = on_coarse(request)
+    if coarse is None:
+        return None
+    starts, starts_um = first_nodes(coarse)
+    if not len(starts):
+        return None
+    quick = quick_plan(coarse, starts, starts_um, options)
+    if quick is NO_WAY or (quick is None and options.stop_at_first):
+        return None
+    if not options.stop_at_first:
+        run = Run(coarse, replace(options, max_expansions=_COARSE, record=False), began)
+        if quick is not None:
+            run.take(quick)
+        run.result(forward_task(coarse, starts, starts_um))
+        quick = run.best()
+    if quick is None:
+        return None
+    if request.toward.region.is_point:
+        least_um = least_straight(request, nodes, costs_um)
+    else:
+        least_um = least_toward_goal(request, nodes, costs_um)
+    return replace(
+        quick,
+        nodes=on_fine(coarse.space, request.space, quick.nodes),
+        least_um=min(quick.cost_um, least_um),
+    )
+
+
+def quick_plan(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
+) -> QuickPath | None:
+    """A plan to the goal's own pose, if it is free, with a bound that holds for all that may be.
+
+    NO_WAY where it is the only end and is cut off.
+
+    Where more than the first plan is wanted and the goal is a region there is none: effort would go
+    into improving a plan to its middle, the dearest end to come to.
+    """
+    toward = request.toward
+    if toward.region.is_point:
+        return quick_path(request, nodes, costs_um, options)
+    if not options.stop_at_first:
+        return None
+    if not np.all(np.isin(toward.goal_nodes, toward.ends)):
+        return None
+    quick = quick_path(request, nodes, costs_um, options)
+    if quick is None or quick is NO_WAY:
+        return None
+    least_um = least_toward_goal(request, nodes, costs_um)
+    return replace(quick, least_um=min(least_um, quick.cost_um))
+
+
+def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
+    """One search with the heuristic as it is, until the least cost is proven."""
+    options = replace(options, epsilon=1.0, final_epsilon=1.0, improve_expansions=None)
+    return _plan(request, options, began, forward_task)
+
+
+def plan_backward(request: Request, options: PlannerOptions, began: float) -> Result:
+    """As `plan_ara`, from the goal feet to the first steps."""
+    return _plan(request, options, began, backward_task)
+
+
+def _plan(
+    request: Request,
+    options: PlannerOptions,
+    began: float,
+    task_of: Callable[[Request, Int64s, Int64s], Task],
+) -> Result:
+    """A search of the lattice alone, unless a look at the body's path says that there is no way."""
+    nodes, costs_um = first_nodes(request)
+    if not len(nodes):
+        return no_first_step(request)
+    if is_cut_off(request, nodes):
+        return no_way()
+    return Run(request, options, began).result(task_of(request, nodes, costs_um))

@@ -12,16 +12,17 @@ first bucket in use is not below the cost of the plan, so bounds are exact.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import clearance_at
+from planner.compiled import BITS, LOW, Slots, allocating, lean, next_block, slot_of, take_slot
 from planner.heuristics.heuristic import Heuristic, estimate
 from planner.heuristics.rounded_plans import rounded_bound
 from planner.heuristics.turning import exit_bound
-from planner.jit import allocating, lean
 from planner.lattice.lattice import (
     BLOCKED,
     COST_UM,
@@ -34,16 +35,73 @@ from planner.lattice.lattice import (
     HALF_HEADING,
     TO_ROW,
     UNKNOWN,
+    Int64s,
     Space,
     check_node,
     clearance_cost,
     far_from_all,
     pair_free,
     radius_of,
+    step_climbs,
 )
-from planner.lattice.rise import step_climbs
-from planner.lattice.slots import BITS, LOW, Slots, next_block, slot_of, take_slot
-from planner.search.places import Places, takes_place
+
+# Places on the lattice: what a search for a first plan tells apart, which is less than a state.
+#
+# Where the path of the body leads on and steps do not, a search fills all that is around with
+# states that differ by a cell or by a few degrees before it tries another way. So here, once a
+# state of a place was expanded, only those are that have clearly less before them, after the cells
+# of hybrid A* (Dolgov, Thrun, Montemerlo and Diebel, "Path Planning for Autonomous Vehicles in
+# Unknown Semi-structured Environments", 2010). A plan may be missed by that.
+
+_SIZE_M, _SIZE_RAD = 0.15, math.pi / 4
+_CLEARLY_UM = 100_000
+
+
+class Places(NamedTuple):
+    """Places of so many cells along both axes, of so many headings and of one side.
+
+    number, least_um (n,): a hash table of the places where states were expanded, n a power of two:
+    their numbers from 1, 0 where there is none, and the least estimate of those states; (0,) where
+    all states are to be.
+    """
+
+    number: NDArray[np.int64]
+    least_um: NDArray[np.int32]
+    cells: int
+    headings: int
+
+
+EVERY_STATE = Places(np.zeros(0, np.int64), np.zeros(0, np.int32), 1, 1)
+
+
+def places_of(space: Space, most: int) -> Places:
+    """Places of a lattice, nothing expanded in any, for at most so many expansions."""
+    cells = max(1, round(_SIZE_M / space.cell_m))
+    headings = max(1, round(_SIZE_RAD / (2 * math.pi) * space.headings))
+    room = 1 << (2 * most).bit_length()
+    return Places(np.zeros(room, np.int64), np.zeros(room, np.int32), cells, headings)
+
+
+@lean
+def takes_place(space: Space, places: Places, node: int, estimate_um: int) -> bool:
+    """Whether the node has clearly less before it than those expanded in its place, which it notes.
+
+    estimate_um: what is before it.
+    """
+    row, cell = node % (2 * space.headings), node // (2 * space.headings)
+    across = (space.cols + places.cells - 1) // places.cells
+    turns = (space.headings + places.headings - 1) // places.headings
+    place = cell // space.cols // places.cells * across + cell % space.cols // places.cells
+    number = (place * turns + row // 2 // places.headings) * 2 + row % 2 + 1
+    last = len(places.number) - 1
+    at = (number * 0x9E3779B1 >> 7) & last
+    while places.number[at] != 0 and places.number[at] != number:
+        at = at + 1 & last
+    if places.number[at] == number and estimate_um > places.least_um[at] - _CLEARLY_UM:
+        return False
+    places.number[at], places.least_um[at] = number, estimate_um
+    return True
+
 
 BUCKETS = 1 << 13
 FROM_START = 0  # marks a root; node 0 lies on the rim, so it never is a predecessor
@@ -387,3 +445,43 @@ def with_more_entries(tree: Tree) -> Tree:
     entry_node, entry_next = np.empty(2 * used, np.int32), np.empty(2 * used, np.int32)
     entry_node[:used], entry_next[:used] = tree.entry_node, tree.entry_next
     return tree._replace(entry_node=entry_node, entry_next=entry_next)
+
+
+# What is read from a search tree, compiled.
+
+
+@allocating
+def trace(tree: Tree, node: int) -> Int64s:
+    """Nodes (n,) from a root to a node, both included."""
+    number = 0
+    here: int = node
+    while here != FROM_START:
+        number += 1
+        here = np.int64(tree.before[slot_of(tree.slots, here)])  # type: ignore[assignment]
+    path = np.empty(number, np.int64)
+    here = node
+    while number > 0:
+        number -= 1
+        path[number] = here
+        here = np.int64(tree.before[slot_of(tree.slots, here)])  # type: ignore[assignment]
+    return path
+
+
+@allocating
+def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
+    """Costs of nodes (n,) in micrometres, 0 where none is known."""
+    costs_um = np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        costs_um[i] = tree.cost_um[slot_of(tree.slots, nodes[i])]
+    return costs_um
+
+
+@allocating
+def expanded_in_cells(space: Space, tree: Tree) -> Int64s:
+    """How many nodes were expanded in each of the lattice's cells (rows * cols,)."""
+    done = np.zeros(space.cols * space.rows, np.int64)
+    of_block, rows = tree.slots.of_block, 2 * space.headings
+    for node in range(len(done) * rows):
+        if of_block[node // (LOW + 1)] and tree.round[slot_of(tree.slots, node)]:
+            done[node // rows] += 1
+    return done

@@ -12,12 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.heuristics.tables import tables_of
+from planner.heuristics.heuristic import tables_of
 from planner.heuristics.turning import straight_cost
 from planner.lattice.lattice import Int64s, Space, node_free
 from planner.robot_model import StepModel
-from planner.search.problem import Request
-from planner.search.toward import body_cells_of
+from planner.search.problem import Request, body_cells_of
 
 _CELL_M = 0.05
 _FINE_M = 0.03  # from cells that are larger nothing is to be gained

@@ -29,12 +29,10 @@ from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
 from planner.search import best_first as search
+from planner.search.best_first import EVERY_STATE, places_of, trace
 from planner.search.coarse_to_fine import least_straight
-from planner.search.places import EVERY_STATE, places_of
-from planner.search.problem import Request
-from planner.search.reading import trace
+from planner.search.problem import Request, body_cells_of
 from planner.search.search_task import Task
-from planner.search.toward import body_cells_of
 
 # Weights, with as many expansions as each may take, and whether by places or by all states.
 _TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.jit import lean
+from planner.compiled import lean, zeros
 from planner.lattice.lattice import (
     COST_UM,
     D_HALF,
@@ -25,10 +25,9 @@ from planner.lattice.lattice import (
     Space,
     node_free,
     pair_known_free,
+    step_climbs,
     turned_round,
 )
-from planner.lattice.pages import zeros
-from planner.lattice.rise import step_climbs
 
 FORWARD, BACKWARD = 1, 2
 

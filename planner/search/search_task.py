@@ -6,17 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.heuristics.distance_field import least_in_cells, spread_from
-from planner.heuristics.drawn import draw_path
+from planner.compiled import zeros
+from planner.heuristics.distance_field import draw_path, least_in_cells, spread_from
 from planner.heuristics.heuristic import Heuristic, estimates, of_path
 from planner.lattice.lattice import Int64s, Space, turned_round
-from planner.lattice.pages import zeros
 from planner.lattice.steps import final_cost_um
 from planner.search import best_first as search
-from planner.search.best_first import Tree
-from planner.search.places import EVERY_STATE
-from planner.search.problem import Request
-from planner.search.toward import body_cells_of
+from planner.search.best_first import EVERY_STATE, Tree
+from planner.search.problem import Request, body_cells_of
 
 _ENTRIES = 1 << 16  # at first; a search that needs more doubles them
 
