@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 
 from app.command_table import COMMANDS
-from app.errors import ExitCode, InputError, one_line
+from app.output import ExitCode, InputError, one_line
 
 PROGRAM = "python main.py"
 
@@ -64,7 +64,7 @@ def _dispatch(arguments: list[str]) -> int:
     command = COMMANDS[name]
 
     # Here and not above: reading options costs an import that the overview does without.
-    from app.parsing import parse_options
+    from app.options import parse_options
 
     options = parse_options(
         command.load_options(),

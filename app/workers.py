@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-from app.errors import InputError
+from app.output import InputError
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.inputs import MapOptions, read_grid
-from app.viewer.opening import drawn, load_robot, opened
+from app.options import MapOptions, read_grid
+from app.viewer.page import drawn, load_robot, opened
 from app.viewer.session import Session
 from benchmarks.page_watcher import Watcher
 from planner.options import PlannerOptions

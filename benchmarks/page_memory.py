@@ -26,9 +26,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from app.inputs import MapOptions, read_grid
-from app.viewer.opening import drawn, load_robot, opened
-from app.viewer.page import Page
+from app.options import MapOptions, read_grid
+from app.viewer.page import Page, drawn, load_robot, opened
 from benchmarks.page_watcher import Watcher
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))

@@ -16,10 +16,9 @@ import time
 
 import torch
 
-from controller.env import WalkTask
+from controller.env import TaskConfig, WalkTask
 from controller.policy import load_policy
 from controller.ppo import PpoConfig, RslWalkEnv, make_ppo
-from controller.task_config import TaskConfig
 from sim.robots import get_robot
 
 

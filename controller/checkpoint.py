@@ -15,7 +15,7 @@ import torch
 
 from controller.curriculum import Stage
 from controller.observation import critic_fields, layout, policy_fields
-from controller.train_config import TrainConfig
+from controller.ppo import TrainConfig
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"

@@ -11,21 +11,132 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
 
 from controller.curriculum import Stage
+from controller.env import TaskConfig, Transition, WalkTask
 from controller.gait import CONTROL_PERIOD_S
-from controller.gym_render import Painter
-from controller.gym_task import (
-    LANDING_ERRORS,
-    action_space,
-    checked_action,
-    make_task,
-    observation_space,
-    refuse_options,
-    within_space,
-)
-from controller.task_config import TaskConfig
-from sim.robots import robot_names
+from controller.gym_render import Moment, Painter
+from controller.observation import SCALED_LIMIT, policy_fields
+from controller.stairs import STAIR_MODES
+from controller.step_sequences import MODES
+from sim.robot import Robot
+from sim.robots import get_robot, robot_names
+
+# What the Gymnasium environments share: spaces, ways of walking, and the ends of episodes.
+
+# Further from half-sitting the joint targets are held there: beyond every joint that a leg has,
+# or so far that the servo gives all its torque.
+ACTION_LIMIT_RAD = 2.0
+# What a transition tells of a foot that has just landed.
+LANDING_ERRORS = ("landing_error_m", "landing_height_error_m", "landing_heading_error_rad")
+
+
+def observation_space(robot: Robot) -> spaces.Box:
+    """Scaled observations (N,), cut off where training cuts them off."""
+    width = sum(field.width for field in policy_fields(robot))
+    return spaces.Box(-SCALED_LIMIT, SCALED_LIMIT, (width,), np.float32)
+
+
+def action_space(robot: Robot) -> spaces.Box:
+    """Offsets (J,) in rad of the joint targets from half-sitting."""
+    return spaces.Box(-ACTION_LIMIT_RAD, ACTION_LIMIT_RAD, (len(robot.joints),), np.float32)
+
+
+def within_space(observation: np.ndarray) -> np.ndarray:
+    """A new array of observations (B, N) in float32 and within the space.
+
+    A simulation that broke down may end in numbers that are not finite; they read 0.
+    """
+    limited = np.clip(np.nan_to_num(observation), -SCALED_LIMIT, SCALED_LIMIT)
+    return limited.astype(np.float32)
+
+
+def checked_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The action in float64, within its bounds.
+
+    Raises:
+        ValueError: it has another shape, or numbers that are not finite.
+    """
+    action = np.asarray(action, dtype=np.float64)
+    if action.shape != shape:
+        raise ValueError(f"the action has shape {action.shape}, it must have {shape}")
+    if not np.isfinite(action).all():
+        raise ValueError("the action has numbers that are not finite")
+    return np.clip(action, -ACTION_LIMIT_RAD, ACTION_LIMIT_RAD)
+
+
+class EpisodeTask(WalkTask):
+    """The walking task, which also keeps how episodes ended.
+
+    A `WalkTask` starts the next episode within the step that ends one; `last_observation` (B, N)
+    and `last_moment` are from between the two.
+    """
+
+    last_observation: np.ndarray
+    last_moment: Moment
+
+    def reset(self, rows: np.ndarray) -> None:
+        """Start new episodes for the robots `rows`, after a look at the old ones."""
+        if len(rows):
+            self.last_observation, self.last_moment = self.observe(), self.moment()
+        super().reset(rows)
+
+    def moment(self) -> Moment:
+        """The robots as they are now."""
+        cursor = self.walker.cursor
+        return Moment(
+            qpos=self.walker.sim.qpos.copy(),
+            window=cursor.window,
+            side=cursor.side,
+            ground=self.walker.sim.ground_pose,
+        )
+
+
+def make_task(
+    robot: str,
+    *,
+    count: int,
+    threads: int = 1,
+    mode: str | None,
+    config: TaskConfig | None,
+    stage: Stage | None,
+    render_mode: str | None,
+) -> EpisodeTask:
+    """The task that an environment runs.
+
+    Raises:
+        ValueError: there is no such robot, way of walking or render mode, or no robot at all.
+    """
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
+    modes = (*MODES, *STAIR_MODES, "standing")
+    if mode is not None and mode not in modes:
+        raise ValueError(f"mode {mode!r}: choose one of {', '.join(modes)}, or None for a mix")
+    if count < 1:
+        raise ValueError(f"num_envs {count} must be at least 1")
+    return EpisodeTask(
+        get_robot(robot),
+        count=count,
+        seed=0,
+        threads=threads,
+        mode=mode,
+        config=config,
+        stage=stage,
+    )
+
+
+def refuse_options(options: dict[str, object] | None) -> None:
+    """Takes no options.
+
+    Raises:
+        ValueError: there are some.
+    """
+    if options:
+        raise ValueError(f"reset takes no options here, but got {', '.join(options)}")
+
 
 VERSION = 0
 
@@ -121,10 +232,112 @@ def register() -> None:
             gymnasium.register(
                 environment_id(name),
                 entry_point="controller.gym_env:WalkEnv",
-                vector_entry_point="controller.gym_vector:WalkVectorEnv",
+                vector_entry_point="controller.gym_env:WalkVectorEnv",
                 kwargs={"robot": name},
             )
 
 
 # Gymnasium's custom: environments are there once their module is imported.
 register()
+
+
+# Many robots as one Gymnasium vector environment, backed by one batch of simulations.
+
+
+class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
+    """B robots, each walking along steps of its own.
+
+    Where an episode ends, the next one begins within the same step: the observation is the new
+    episode's first, and `final_obs` and `final_info` hold what ended, as Gymnasium's SAME_STEP
+    has it. Spaces, rewards and infos are otherwise those of `WalkEnv`, the infos as arrays (B,)
+    each with a mask of its name after an underscore; the terms of the reward are left out.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
+        **WalkEnv.metadata,
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+    }
+
+    def __init__(
+        self,
+        robot: str = "jvrc1",
+        *,
+        num_envs: int = 1,
+        threads: int = 1,
+        mode: str | None = None,
+        config: TaskConfig | None = None,
+        stage: Stage | None = None,
+        render_mode: str | None = None,
+    ):
+        """Set `num_envs` robots up, whose physics runs in `threads` threads.
+
+        Raises:
+            ValueError: there is no such robot, way of walking or render mode, or no robot at all.
+            NoGlError: pictures are asked for, and no GL library works here.
+        """
+        self._task = make_task(
+            robot,
+            count=num_envs,
+            threads=threads,
+            mode=mode,
+            config=config,
+            stage=stage,
+            render_mode=render_mode,
+        )
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.single_observation_space = observation_space(self._task.robot)
+        self.single_action_space = action_space(self._task.robot)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._painter = Painter(self._task.walker.scene) if render_mode else None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start new episodes everywhere; one seed is for all robots, whatever the threads."""
+        super().reset(seed=seed)
+        refuse_options(options)
+        self._task.restart(int(self.np_random.integers(2**63)))
+        return within_space(self._task.observe()), {}
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Act (B, J) for one control step."""
+        step = self._task.step(checked_action(actions, self.action_space.shape or ()))
+        ended = step.terminated | step.truncated
+        infos: dict[str, Any] = dict(_infos(step, ~ended))
+        if ended.any():
+            final = np.full(self.num_envs, None, dtype=object)
+            seen = within_space(self._task.last_observation)
+            for row in np.flatnonzero(ended):
+                final[row] = seen[row].copy()
+            infos |= {"final_obs": final, "_final_obs": ended.copy()}
+            infos |= {"final_info": _infos(step, ended), "_final_info": ended.copy()}
+        observation = within_space(step.observation)
+        return observation, step.reward, step.terminated, step.truncated, infos
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """A picture (480, 640, 3) of every robot; None without render_mode."""
+        if self._painter is None:
+            return None
+        now = self._task.moment()
+        return tuple(self._painter.draw(now, row) for row in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free what drawing holds."""
+        if self._painter is not None:
+            self._painter.close()
+
+
+def _infos(step: Transition, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """What the step tells of the robots where `rows` (B,) is true, with masks."""
+    told = dict.fromkeys(("landed", "stairs", "failed"), rows)
+    told |= dict.fromkeys(LANDING_ERRORS, rows & step.landed)
+    infos = {}
+    for name, mask in told.items():
+        values = getattr(step, name)
+        infos[name] = np.where(mask, values, np.zeros(1, values.dtype))
+        infos[f"_{name}"] = mask.copy()
+    return infos

@@ -4,16 +4,31 @@ from __future__ import annotations
 
 import importlib
 import math
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from controller.gym_task import Moment
 from planner.robot_model import Side
 from sim.gl import NoGlError, prepare_gl
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
 from sim.scene import Scene, build_scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class Moment:
+    """What a picture needs of all robots at one moment.
+
+    `qpos` is (B, nq), `window` (B, 2, 4) the present and the next step in the world, `side` (B,)
+    the foot of the present one. `ground` is as `SimBatch.ground_pose` gives it.
+    """
+
+    qpos: np.ndarray
+    window: np.ndarray
+    side: np.ndarray
+    ground: tuple[np.ndarray, np.ndarray] | None
+
 
 WIDTH, HEIGHT = 640, 480
 COLOURS = {Side.LEFT: (0.12, 0.43, 0.78, 1.0), Side.RIGHT: (0.94, 0.47, 0.16, 1.0)}

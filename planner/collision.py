@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from maps.distance import distance_field
-from maps.grid import OccupancyGrid
+from maps.grid import OccupancyGrid, distance_field
 from planner.compiled import lean
 from planner.robot_model import StepModel
 

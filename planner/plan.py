@@ -14,6 +14,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.robot_model import Side
 
+
+def finite_pose(values: Sequence[float]) -> Pose:
+    """Three numbers as a pose.
+
+    Raises:
+        ValueError: One of them is not finite.
+    """
+    x_m, y_m, yaw_rad = (float(value) for value in values)
+    if not all(map(math.isfinite, (x_m, y_m, yaw_rad))):
+        raise ValueError(f"pose {x_m:g},{y_m:g},{yaw_rad:g} must be finite numbers")
+    return x_m, y_m, yaw_rad
+
+
 FORMAT = "footstep-plan/1"
 Pose = tuple[float, float, float]
 FloatArray = NDArray[np.float64]

@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
-from sim.ground import MapGround, add_ground
 from sim.robot import SURROUNDINGS_BITS, Robot
 from sim.sensors import SIDES, Sensors, add_sensors
-from sim.terrain import add_treads
+from sim.terrain import MapGround, add_ground, add_treads
 
 WALL_HEIGHT_M = 1.0
 WALL_RGBA = (0.72, 0.66, 0.58, 1.0)

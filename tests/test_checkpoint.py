@@ -13,9 +13,8 @@ import pytest
 import torch
 
 from controller.checkpoint import CHECKPOINT, TrainingError, read_checkpoint
-from controller.ppo import PpoConfig
+from controller.ppo import PpoConfig, TrainConfig
 from controller.runner import Trainer
-from controller.train_config import TrainConfig
 from sim.robots import get_robot
 
 SMALL = TrainConfig(

@@ -11,7 +11,7 @@ import pytest
 
 from app.cli import main, overview
 from app.command_table import COMMANDS
-from app.errors import ExitCode
+from app.output import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent
 

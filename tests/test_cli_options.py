@@ -11,7 +11,6 @@ import pytest
 
 from app.cli import PROGRAM
 from app.command_table import COMMANDS
-from app.errors import InputError
 from app.options import (
     FolderArgument,
     OptionalFile,
@@ -20,9 +19,10 @@ from app.options import (
     PoseOption,
     choice,
     number,
+    parse_options,
     whole_number,
 )
-from app.parsing import parse_options
+from app.output import InputError
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from app.cli import main
-from app.errors import ExitCode
+from app.output import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent
 

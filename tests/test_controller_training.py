@@ -11,15 +11,12 @@ import pytest
 from controller.assessment import assess_mode, in_step_frame
 from controller.checkpoint import TrainingError
 from controller.curriculum import Curriculum, Stage
-from controller.env import WalkTask
-from controller.planned import PlannedSteps
+from controller.env import TaskConfig, WalkTask
 from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
-from controller.ppo import PpoConfig
+from controller.ppo import PpoConfig, TrainConfig
 from controller.runner import Trainer
 from controller.step_cursor import STANCE
-from controller.step_sequences import MAX_STEPS, MODES, draw_track
-from controller.task_config import TaskConfig
-from controller.train_config import TrainConfig
+from controller.step_sequences import MAX_STEPS, MODES, PlannedSteps, draw_track
 from maps.grid import OccupancyGrid
 from planner.corpus.corpus import corpus_of
 from planner.plan import feet_at, relative_step

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller.curriculum import FLAT, MEASURED, PAPER, Curriculum, Stage
-from controller.swing import lift_reference_m
+from controller.rewards import lift_reference_m
 
 
 def after(curriculum, stage, flat=1.0, stairs=1.0, updates=0):

@@ -12,16 +12,12 @@ import pytest
 from app.cli import main
 from app.commands import evaluate
 from app.commands.evaluate_options import SECTION_NAMES, EvaluateOptions
-from app.evaluation import limits as evaluate_limits
-from app.evaluation import modes as evaluate_modes
-from app.evaluation.beside import read_beside
+from app.evaluation import sections as evaluate_limits
+from app.evaluation import sections as evaluate_modes
 from app.evaluation.figures import FIGURES, write_figures
-from app.evaluation.limits import measured_of, sole_errors_m
-from app.evaluation.modes import mode_row
 from app.evaluation.parts import Bench, finite
-from app.evaluation.report_text import report
-from app.evaluation.sections import SECTIONS
-from app.evaluation.table import plain_joint, table
+from app.evaluation.report_text import plain_joint, read_beside, report, table
+from app.evaluation.sections import SECTIONS, measured_of, mode_row, sole_errors_m
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
 from controller.policy import POLICY_FOLDER, load_policy

@@ -9,11 +9,18 @@ from typing import cast
 import numpy as np
 import pytest
 
-from app.inputs import find_follower
+from app.options import find_follower
 from controller.evaluation import step_limits as step_region
-from controller.evaluation.limit_search import Trial, corners_of, cut_back, search_limits
-from controller.evaluation.step_limits import StepWalks, kinds_over
-from controller.evaluation.sway import Reach, half_extent
+from controller.evaluation.step_limits import (
+    Reach,
+    StepWalks,
+    Trial,
+    corners_of,
+    cut_back,
+    half_extent,
+    kinds_over,
+    search_limits,
+)
 from controller.policy import Policy, PolicyError, load_policy, save_policy
 from controller.tracking_limits import (
     Measured,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.navigation.navigator import Placed
-from app.pictures.footmarks import Footmarks, footmarks_of
+from app.pictures.rendering import Footmarks, footmarks_of
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import FootShape, Side
 

@@ -12,11 +12,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from controller.curriculum import Stage
-from controller.env import WalkTask
-from controller.gym_env import environment_id
-from controller.gym_vector import WalkVectorEnv
+from controller.env import TaskConfig, WalkTask
+from controller.gym_env import WalkVectorEnv, environment_id
 from controller.policy import load_policy
-from controller.task_config import TaskConfig
 from sim.robots import get_robot, robot_names
 
 JVRC1 = "Footfall/Jvrc1-v0"

@@ -23,7 +23,7 @@ import numpy as np
 from gymnasium.utils.env_checker import check_env
 import controller.gym_env
 from controller.curriculum import Stage
-from controller.task_config import TaskConfig
+from controller.env import TaskConfig
 from sim.gl import NoGlError
 
 EXACT = TaskConfig(exact_rise=True)

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from maps.distance import distance_field
-from maps.grid import Cell, OccupancyGrid
+from maps.grid import Cell, OccupancyGrid, distance_field
 from maps.make_maps import OFFICE, ROOM, draw
 from maps.map_files import load_map
 from maps.obstacles import merge_rectangles, obstacle_boxes

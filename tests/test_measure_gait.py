@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from controller.evaluation.gait_metrics import (
+    WalkRecord,
     asymmetry,
     contact_agreement,
     cost_of_transport,
@@ -17,9 +18,9 @@ from controller.evaluation.gait_metrics import (
     over_cycle,
     peak_weights,
     posture,
+    repeated,
     swing_lags,
 )
-from controller.evaluation.gait_record import WalkRecord, repeated
 from controller.evaluation.push_recovery import DIRECTIONS, Push
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.step_cursor import StepCursor, Track

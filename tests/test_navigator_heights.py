@@ -11,7 +11,7 @@ import pytest
 from app.commands.trials import Course, draw_trials
 from app.navigation.navigator import Navigator, Placed, scene_of
 from app.navigation.report import Outcome
-from app.pictures.cutaway import fixed_boxes
+from app.pictures.rendering import fixed_boxes
 from app.viewer.live_navigator import Rover
 from controller.policy import load_policy
 from maps.grid import OccupancyGrid

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.errors import InputError
-from app.output import make_folder, replacing, require_writable, write_text
+from app.output import InputError, make_folder, replacing, require_writable, write_text
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):

@@ -12,7 +12,7 @@ from viser import _messages as messages
 from viser.infra import ClientId
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-from app.viewer.backlog import calm, shorten
+from app.viewer.server import calm, shorten
 
 DONE = messages.ReplayDoneMessage()
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from app.viewer.blocks import solid
+from app.viewer.map_scene import solid
 
 
 def mesh(boxes: list[list[float]], rise_m: float = 1.0) -> trimesh.Trimesh:

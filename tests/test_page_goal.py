@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.opening import drawn, opened
-from app.viewer.page import Page
+from app.viewer.page import Page, drawn, opened
 from app.viewer.panel import SPEEDS
 from app.viewer.pointer import Tool
 from app.viewer.robot_scene import look_of

@@ -10,12 +10,11 @@ import pytest
 import viser
 
 from app.viewer.map_scene import add_floor
-from app.viewer.markers import Prints
+from app.viewer.markers import Marker, Prints
 from app.viewer.obstacle_editor import Toybox
 from app.viewer.obstacles import Obstacle
+from app.viewer.pointer import surface_of
 from app.viewer.server import open_server
-from app.viewer.signs import Marker
-from app.viewer.surface import surface_of
 from maps.map_files import load_map
 from planner.robot_model import FootShape, Side
 from sim.scene import WALL_HEIGHT_M

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from app.cli import main
-from app.errors import ExitCode
+from app.output import ExitCode
 from app.viewer.obstacles import Obstacle, snapped, with_obstacles
 from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, on_floor, toward
-from app.viewer.real_time import Pace
+from app.viewer.session import Pace
 from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 

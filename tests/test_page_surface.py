@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.viewer.obstacles import Obstacle, snapped
-from app.viewer.surface import FLOOR, WALL, Met, Surface, surface_of
+from app.viewer.pointer import FLOOR, WALL, Met, Surface, surface_of
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map
 from sim.scene import WALL_HEIGHT_M

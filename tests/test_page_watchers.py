@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from app.viewer.camera import overview
-from app.viewer.opening import drawn, opened
-from app.viewer.page import Page
+from app.viewer.page import Page, drawn, opened
 from app.viewer.snapshot import Notice, Snapshot
 from benchmarks.page_watcher import Watcher
 from controller.policy import POLICY_FOLDER, load_policy

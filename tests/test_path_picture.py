@@ -8,11 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from app.errors import InputError
-from app.output import write_picture
+from app.output import InputError, write_picture
 from app.pictures.canvas import LEFT, RIGHT, Canvas
-from app.pictures.legend import Swatch, with_legend
-from app.pictures.plan_pictures import BODY, PLANNED, foot_boxes, walk_picture, write_path_picture
+from app.pictures.plan_pictures import (
+    BODY,
+    PLANNED,
+    Swatch,
+    foot_boxes,
+    walk_picture,
+    with_legend,
+    write_path_picture,
+)
 from maps.grid import Cell, OccupancyGrid
 from planner.plan import FootstepPlan, PlanStatus, feet_at
 from planner.robot_model import FootShape

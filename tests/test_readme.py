@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.command_table import COMMANDS
-from app.parsing import parse_options
+from app.options import parse_options
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

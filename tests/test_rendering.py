@@ -12,9 +12,16 @@ import cv2
 import numpy as np
 import pytest
 
-from app.pictures.cutaway import Boxes, eye_position, hides, points_to_see
-from app.pictures.rendering import Recording, View, camera_path
-from app.pictures.strip import tile
+from app.pictures.film import tile
+from app.pictures.rendering import (
+    Boxes,
+    Recording,
+    View,
+    camera_path,
+    eye_position,
+    hides,
+    points_to_see,
+)
 from sim.gl import NO_GL, NoGlError, prepare_gl
 
 
@@ -168,7 +175,7 @@ try:
 except NoGlError as error:
     sys.exit(str(error))
 import mujoco, numpy as np
-from app.pictures.strip import write_strip
+from app.pictures.film import write_strip
 from app.pictures.film import write_film
 model = mujoco.MjModel.from_xml_string('''
 <mujoco>

@@ -5,7 +5,6 @@ import json
 
 import pytest
 
-from app.errors import ExitCode
 from app.navigation.report import (
     FootError,
     NavigationReport,
@@ -13,6 +12,7 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
+from app.output import ExitCode
 
 REPORT = NavigationReport(
     outcome=Outcome.REACHED,

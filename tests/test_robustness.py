@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from controller.curriculum import Stage
-from controller.env import WalkTask
+from controller.env import TaskConfig, WalkTask
 from controller.gait import CONTROL_PERIOD_S
 from controller.randomization import PUSH_TICKS, Disturbances, Robustness
-from controller.task_config import TaskConfig
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene

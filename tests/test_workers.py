@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from app.errors import InputError
+from app.output import InputError
 from app.workers import in_order, portions
 
 

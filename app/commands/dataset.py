@@ -16,15 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from app.commands.dataset_options import DatasetOptions
-from app.errors import ExitCode, InputError
-from app.inputs import MapOptions, find_robot, read_grid
 from app.navigation.report import installed_versions
-from app.options import Interval, Pose
-from app.output import make_folder, write_text
-from app.progress import ProgressBar, say
+from app.options import Interval, MapOptions, Pose, find_robot, read_grid
+from app.output import ExitCode, InputError, ProgressBar, make_folder, say, write_text
 from app.workers import in_order, portions
-from maps.map_files import find_map
-from maps.writer import HEIGHTS, IMAGE, YAML, copy_map
+from maps.map_files import HEIGHTS, IMAGE, YAML, copy_map, find_map
 from planner.corpus.corpus import MANIFEST, PLANS, Corpus, corpus_of
 from planner.corpus.generate import Drawn, RandomPlans, floor_around, random_plans
 from planner.options import PlannerOptions

@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.commands.dataset_options import DatasetCheckOptions
-from app.errors import ExitCode, as_bad_input
-from app.inputs import find_robot
-from app.output import to_json
-from app.progress import ProgressBar, say
+from app.options import find_robot
+from app.output import ExitCode, ProgressBar, as_bad_input, say, to_json
 from app.workers import in_order, portions
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map

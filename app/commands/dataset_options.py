@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from app.inputs import RobotName
 from app.options import (
     FolderArgument,
     FolderOption,
@@ -13,6 +12,7 @@ from app.options import (
     OptionalInterval,
     OptionalLength,
     OptionalPose,
+    RobotName,
     choice,
     text,
     whole_number,

@@ -8,16 +8,21 @@ from dataclasses import asdict
 from typing import Any
 
 from app.commands.evaluate_options import EvaluateOptions
-from app.errors import ExitCode, InputError, as_bad_input
-from app.evaluation.beside import read_beside
-from app.evaluation.limits import measured_of
 from app.evaluation.parts import Bench, Kept, Part, Results, finite
-from app.evaluation.report_text import report
-from app.evaluation.sections import SECTIONS
-from app.inputs import find_robot
+from app.evaluation.report_text import read_beside, report
+from app.evaluation.sections import SECTIONS, measured_of
 from app.navigation.report import installed_versions
-from app.output import make_folder, to_json, write_text
-from app.progress import ProgressBar, say
+from app.options import find_robot
+from app.output import (
+    ExitCode,
+    InputError,
+    ProgressBar,
+    as_bad_input,
+    make_folder,
+    say,
+    to_json,
+    write_text,
+)
 from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import Measured, measured_path, to_text
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from app.inputs import RobotName
-from app.options import FolderOption, OptionalFile, OptionalFolder, some_of, whole_number
+from app.options import FolderOption, OptionalFile, OptionalFolder, RobotName, some_of, whole_number
 
 SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
 

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.errors import ExitCode, as_bad_input
-from app.inputs import RobotName, find_robot
-from app.options import FileOption, OptionalFile
-from app.output import replacing, require_writable, to_json
-from app.progress import say
+from app.options import FileOption, OptionalFile, RobotName, find_robot
+from app.output import ExitCode, as_bad_input, replacing, require_writable, say, to_json
 from controller.onnx_export import (
     CHECKED_OBSERVATIONS,
     ExportError,

@@ -11,8 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from app.commands.navigate_options import NavigateOptions
-from app.errors import InputError, as_bad_input
-from app.inputs import find_follower, read_grid
 from app.navigation.navigator import (
     GOAL_TOLERANCE_M,
     GOAL_TOLERANCE_RAD,
@@ -27,11 +25,19 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
-from app.options import Pose, Reach
-from app.output import PICTURE_ENDINGS, make_folder, require_writable, write_text
+from app.options import Pose, Reach, find_follower, read_grid
+from app.output import (
+    PICTURE_ENDINGS,
+    InputError,
+    ProgressBar,
+    as_bad_input,
+    make_folder,
+    require_writable,
+    say,
+    write_text,
+)
 from app.pictures.plan_pictures import write_path_picture
 from app.pictures.rendering import FOLLOW, Recording
-from app.progress import ProgressBar, say
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
@@ -198,9 +204,8 @@ def _draw(
         write_replay(options.html, grid, robot, story)
     if not options.draws_robot:
         return
-    from app.pictures.film import write_film
-    from app.pictures.footmarks import footmarks_of
-    from app.pictures.strip import write_strip
+    from app.pictures.film import write_film, write_strip
+    from app.pictures.rendering import footmarks_of
 
     scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
     marks = footmarks_of(robot.step_model.foot, navigator.followed, navigator.placed)

@@ -7,17 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from app.inputs import MapOptions, PlannerName, RobotName
 from app.options import (
     FolderOption,
+    MapOptions,
     OptionalFile,
+    PlannerName,
     Pose,
     PoseOption,
     Reach,
     ReachOption,
+    RobotName,
     whole_number,
 )
-from app.progress import say
+from app.output import say
 from planner.options import PlannerOptions
 from sim.gl import NoGlError, prepare_gl, switch_gl_off
 

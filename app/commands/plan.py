@@ -7,21 +7,32 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from app.errors import ExitCode, InputError, as_bad_input
-from app.inputs import HeuristicName, MapOptions, PlannerName, RobotName, find_follower, read_grid
 from app.options import (
+    HeuristicName,
+    MapOptions,
     OptionalFile,
     OptionalTime,
+    PlannerName,
     Pose,
     PoseOption,
     PosesOption,
     Reach,
     ReachOption,
+    RobotName,
+    find_follower,
     number,
+    read_grid,
     whole_number,
 )
-from app.output import PICTURE_ENDINGS, require_writable, write_text
-from app.progress import say
+from app.output import (
+    PICTURE_ENDINGS,
+    ExitCode,
+    InputError,
+    as_bad_input,
+    require_writable,
+    say,
+    write_text,
+)
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
 
@@ -112,12 +123,12 @@ def run(options: PlanOptions) -> int:
 
         write_path_picture(options.image, grid, robot.step_model, plan)
     if options.search_image is not None and planner.record is not None:
-        from app.pictures.search_picture import write_search_picture
+        from app.pictures.plan_pictures import write_search_picture
 
         cell_m = robot.step_model.cell_m
         write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
     if options.refine_image is not None and plan.found:
-        from app.pictures.refinement_picture import write_refinement_picture
+        from app.pictures.plan_pictures import write_refinement_picture
 
         unrefined = dataclasses.replace(planner.options, refine=False)
         searched = Planner(grid, robot.step_model, unrefined)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import time
 
 from app.commands.serve_options import ServeOptions
-from app.errors import InputError, as_bad_input
-from app.inputs import find_follower, read_grid
-from app.progress import ProgressBar, say
+from app.options import find_follower, read_grid
+from app.output import InputError, ProgressBar, as_bad_input, say
 from app.viewer.nearest_pose import place_to_stand
-from app.viewer.opening import load_robot, opened
+from app.viewer.page import load_robot, opened
 from app.viewer.session import Session
 from controller.policy import Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid

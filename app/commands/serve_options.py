@@ -6,8 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from app.inputs import MapOptions, PlannerName, RobotName
-from app.options import OptionalFile, Pose, PoseOption, text, whole_number
+from app.options import (
+    MapOptions,
+    OptionalFile,
+    PlannerName,
+    Pose,
+    PoseOption,
+    RobotName,
+    text,
+    whole_number,
+)
 from planner.options import PlannerOptions
 
 

@@ -8,20 +8,16 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 from app.commands.train_options import TrainOptions
-from app.errors import ExitCode, InputError, as_bad_input
-from app.inputs import find_robot
-from app.options import Interval
-from app.output import make_folder, write_text
-from app.progress import ProgressBar, say
+from app.options import Interval, find_robot
+from app.output import ExitCode, InputError, ProgressBar, as_bad_input, make_folder, say, write_text
 from controller.checkpoint import TrainingError, require_room
 from controller.curriculum import PRESETS as CURRICULA
 from controller.curriculum import Curriculum
-from controller.planned import PlannedSteps
+from controller.env import TaskConfig
+from controller.ppo import TrainConfig
 from controller.rewards import PRESETS
-from controller.runner import Trainer
-from controller.statistics import Report
-from controller.task_config import TaskConfig
-from controller.train_config import TrainConfig
+from controller.runner import Report, Trainer
+from controller.step_sequences import PlannedSteps
 from planner.corpus.corpus import Corpus, CorpusError
 from sim.robot import Robot
 

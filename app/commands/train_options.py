@@ -5,8 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from app.inputs import RobotName
-from app.options import FolderOption, OptionalFolder, OptionalLength, choice, whole_number
+from app.options import (
+    FolderOption,
+    OptionalFolder,
+    OptionalLength,
+    RobotName,
+    choice,
+    whole_number,
+)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,12 +15,18 @@ from typing import Any
 import numpy as np
 
 from app.commands.trials_options import TrialsOptions
-from app.errors import ExitCode, InputError, as_bad_input
-from app.inputs import find_follower, read_grid
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.report import Outcome, installed_versions
-from app.output import make_folder, to_json, write_text
-from app.progress import ProgressBar
+from app.options import find_follower, read_grid
+from app.output import (
+    ExitCode,
+    InputError,
+    ProgressBar,
+    as_bad_input,
+    make_folder,
+    to_json,
+    write_text,
+)
 from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.collision import terrain_of

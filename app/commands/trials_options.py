@@ -6,8 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from app.inputs import MapOptions, PlannerName, RobotName
-from app.options import FolderOption, OptionalFile, number, whole_number
+from app.options import (
+    FolderOption,
+    MapOptions,
+    OptionalFile,
+    PlannerName,
+    RobotName,
+    number,
+    whole_number,
+)
 from planner.options import PlannerOptions
 
 

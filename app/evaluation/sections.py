@@ -2,12 +2,517 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from functools import partial
+from typing import Any
 
-from app.evaluation.gait import energy_parts, gait_parts, push_parts
-from app.evaluation.limits import limits_parts
-from app.evaluation.modes import long_parts, modes_parts, stairs_parts
-from app.evaluation.parts import Bench, Part
+import numpy as np
+
+from app.evaluation.parts import Bench, Part, Results
+from controller.assessment import ModeResult, assess_mode, at_navigation_rate
+from controller.evaluation.gait_metrics import (
+    Step,
+    WalkRecord,
+    contact_agreement,
+    cost_of_transport,
+    distance_m,
+    duration_s,
+    in_contact,
+    joint_loads,
+    mechanical_work_j,
+    over_cycle,
+    peak_weights,
+    posture,
+    record_walk,
+    swing_lags,
+)
+from controller.evaluation.push_recovery import DIRECTIONS, PUSH_WALK_S, push_recovery
+from controller.evaluation.rollouts import AT_ONCE, portions, set_off, walk
+from controller.evaluation.step_limits import (
+    LIMITS_WALK_S,
+    Reach,
+    StepWalks,
+    Trial,
+    kinds_over,
+    search_limits,
+    step_map,
+    walk_within,
+)
+from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.step_cursor import Track
+from controller.step_sequences import MODES, draw_track, kept_within
+from controller.tracking_limits import Measured, limits_from, planning_model
+from maps.grid import OccupancyGrid
+from planner.lattice.steps import allowed
+from planner.robot_model import FootShape, StepLimits
+
+# Success of an evaluation: every flat mode, stairs, and a minute of mixed walking.
+
+EPISODE_S = 10.0
+LONG_WALK_S = 60.0
+STAIR_RISES_M = (0.10, 0.15)
+TREAD_NOISE_M = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
+JOINT_NOISE_DEG = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
+def modes_parts(bench: Bench) -> list[Part]:
+    """Falls and foot errors of every flat mode."""
+
+    def measure(results: Results, mode: str | None) -> dict[str, Any]:
+        return mode_row(_assess(bench, mode, bench.episodes))
+
+    return [
+        Part(
+            section="modes",
+            name=f"modes-{mode or 'mixed'}",
+            robot_seconds=bench.episodes * EPISODE_S,
+            measure=partial(measure, mode=mode),
+        )
+        for mode in (*MODES, "standing", None)
+    ]
+
+
+def _assess(bench: Bench, mode: str | None, episodes: int, **settings: float) -> ModeResult:
+    """Episodes of one mode, in portions that fit the memory."""
+    return ModeResult.joined(
+        [
+            assess_mode(
+                bench.robot,
+                bench.policy,
+                mode,
+                episodes=min(AT_ONCE, episodes - first),
+                seed=bench.seed + 1000 * number,
+                threads=bench.threads,
+                config=at_navigation_rate(),
+                **settings,
+            )
+            for number, first in enumerate(range(0, episodes, AT_ONCE))
+        ]
+    )
+
+
+def mode_row(result: ModeResult) -> dict[str, Any]:
+    """A mode's numbers; None where no foot was set down.
+
+    `error_m_quantiles` are the foot error's 0, 2, ... 100 % quantiles.
+    """
+    row: dict[str, Any] = dict(result.summary)
+    landed = len(result.landing_error_m) > 0
+    for axis, name in enumerate(("along", "across")):
+        off_m = np.abs(result.landing_offset_m[:, axis])
+        for share, suffix in ((50, "median"), (95, "p95")):
+            key = f"{name}_m_{suffix}"
+            row[key] = float(np.percentile(off_m, share)) if landed else None
+    shares = np.arange(0, 101, 2)
+    row["error_m_quantiles"] = (
+        np.percentile(result.landing_error_m, shares).tolist() if landed else None
+    )
+    return row
+
+
+def stairs_parts(bench: Bench) -> list[Part]:
+    """Stairs up and down: without noise, then with noise on treads and on joints."""
+    few = bench.share(5)
+    cases: list[tuple[float, str, float, int]] = []
+    for rise_m in STAIR_RISES_M:
+        cases.append((rise_m, "none", 0.0, bench.episodes))
+    cases += [(STAIR_RISES_M[0], "tread", noise_m, few) for noise_m in TREAD_NOISE_M]
+    cases += [(STAIR_RISES_M[0], "joint", noise_deg, few) for noise_deg in JOINT_NOISE_DEG]
+
+    def measure(results: Results, way: str, rise_m: float, kind: str, noise: float, n: int) -> Any:
+        settings = {"rise_m": rise_m}
+        if kind == "tread":
+            settings["tread_error_m"] = noise
+        elif kind == "joint":
+            settings["joint_noise_deg"] = noise
+        result = _assess(bench, f"stairs_{way}", n, **settings)
+        return {
+            "way": way,
+            "rise_m": rise_m,
+            "noise_kind": kind,
+            "noise": noise,
+            "length_s_mean": float(result.episode_ticks.mean()) * CONTROL_PERIOD_S,
+            **mode_row(result),
+        }
+
+    return [
+        Part(
+            section="stairs",
+            name=f"stairs-{way}-{100 * rise_m:g}cm-{kind}-{noise:g}",
+            robot_seconds=episodes * EPISODE_S,
+            measure=partial(measure, way=way, rise_m=rise_m, kind=kind, noise=noise, n=episodes),
+        )
+        for rise_m, kind, noise, episodes in cases
+        for way in ("up", "down")
+    ]
+
+
+def long_parts(bench: Bench) -> list[Part]:
+    """A minute of walking in all flat modes, changing from one to the next."""
+    count = bench.share(4)
+    steps = int(LONG_WALK_S / bench.robot.gait.step_s) + 2
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Any:
+        while True:
+            track = draw_track(rng, bench.robot.training_model, feet, steps=steps)
+            if len(track.side) > steps:  # not one of those that only stand
+                return track
+
+    def measure(results: Results) -> dict[str, Any]:
+        survived: list[int] = []
+        for rows, seed in portions(count, bench.seed):
+            walker = set_off(
+                bench.robot,
+                draw,
+                count=len(rows),
+                seed=seed,
+                threads=bench.threads,
+            )
+            lasted = np.zeros(len(rows), dtype=np.int64)
+            for tick in walk(walker, bench.policy, round(LONG_WALK_S / CONTROL_PERIOD_S)):
+                lasted += tick.upright
+            survived += lasted.tolist()
+        ticks = round(LONG_WALK_S / CONTROL_PERIOD_S)
+        falls = sum(lasted < ticks for lasted in survived)
+        fallen_s = sorted(lasted * CONTROL_PERIOD_S for lasted in survived if lasted < ticks)
+        return {"walks": count, "seconds": LONG_WALK_S, "falls": falls, "fell_at_s": fallen_s}
+
+    seconds = count * LONG_WALK_S
+    return [Part(section="long", name="long", robot_seconds=seconds, measure=measure)]
+
+
+# What an evaluation says of the gait: loads, ground forces, contact, pushes, cost of transport.
+
+RECORDED_S = 10.0
+RECORDED = 16
+CYCLE_BINS = 110
+# Pushes by what they change of the robot's speed, so that heavy robots are pushed harder.
+PUSH_SPEEDS_M_S = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
+
+
+def gait_parts(bench: Bench) -> list[Part]:
+    """Loads of the joints, ground forces and contact in a straight walk with the longest step."""
+    model, robot = bench.robot.step_model, bench.robot
+    step = (model.limits.most_x_m(model.stance_width_m), model.stance_width_m, 0.0)
+    count = min(RECORDED, 2 * bench.episodes)
+
+    def measure(results: Results) -> dict[str, Any]:
+        record = _recorded(bench, step, count)
+        head = {"step_m": step[0], "walks": count, "falls": int(count - record.upright.sum())}
+        if not record.upright.any():
+            return head
+        whole = record.of_upright()
+        ticks = GaitTicks.of(robot.gait)
+        steady = whole.steady(ticks)
+        weights = steady.ground_force_n / (robot.mass_kg * 9.81)
+        contact = in_contact(steady, robot.mass_kg).astype(float)
+        asked = np.repeat(steady.indicator, steady.substeps, axis=1)
+        standing_m = robot.pelvis_height_m
+        lift_s, touch_s = swing_lags(steady, robot.mass_kg, ticks)
+        curves = {"force": weights, "contact": contact, "indicator": asked}
+        cycles = {k: over_cycle(steady, v, ticks, bins=CYCLE_BINS) for k, v in curves.items()}
+        return {
+            **head,
+            "joints": joint_loads(whole, robot),
+            "posture": posture(steady) | {"pelvis_m_standing": standing_m},
+            "cycle_time_s": cycles["force"].time_s.tolist(),
+            **{f"{k}_mean": cycle.mean.T.tolist() for k, cycle in cycles.items()},
+            "force_low": cycles["force"].low.T.tolist(),
+            "force_high": cycles["force"].high.T.tolist(),
+            "force_peak": peak_weights(steady, robot.mass_kg),
+            "contact_agreement": contact_agreement(steady, robot.mass_kg),
+            "lift_off_lag_s": lift_s,
+            "touch_down_lag_s": touch_s,
+        }
+
+    seconds = count * RECORDED_S
+    return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
+
+
+def _recorded(bench: Bench, step: Step, count: int) -> WalkRecord:
+    """Walks of one step, as `record_walk` records them."""
+    return record_walk(
+        bench.robot,
+        bench.policy,
+        step,
+        count=count,
+        seconds=RECORDED_S,
+        seed=bench.seed,
+        threads=bench.threads,
+    )
+
+
+def energy_parts(bench: Bench) -> list[Part]:
+    """Cost of transport and speed of walks forward, backward and sideways."""
+    count = min(RECORDED // 2, 2 * bench.episodes)
+
+    def measure(results: Results, step: Step, kind: str) -> dict[str, Any]:
+        record = _recorded(bench, step, count)
+        falls = int(count - record.upright.sum())
+        row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
+        if not record.upright.any():
+            return {**row, "speed_m_s": None, "cost_of_transport": None, "power_w": None}
+        steady = record.of_upright().steady(GaitTicks.of(bench.robot.gait))
+        work_j, way_m = mechanical_work_j(steady), distance_m(steady)
+        cost = cost_of_transport(work_j, bench.robot.mass_kg, way_m)
+        return {
+            **row,
+            "speed_m_s": float(way_m.mean() / duration_s(steady)),
+            "cost_of_transport": float(cost.mean()),
+            "power_w": float(work_j.mean() / duration_s(steady)),
+        }
+
+    return [
+        Part(
+            section="energy",
+            name=f"energy-{kind}-{number}",
+            robot_seconds=count * RECORDED_S,
+            measure=partial(measure, step=step, kind=kind),
+        )
+        for number, (kind, step) in enumerate(_walks_to_weigh(bench))
+    ]
+
+
+def _walks_to_weigh(bench: Bench) -> list[tuple[str, Step]]:
+    """Kinds of walk and their steps, within the limits that the robot's file states."""
+    model = bench.robot.step_model
+    limits, width_m = model.limits, model.stance_width_m
+    ahead_m, back_m = limits.most_x_m(width_m), limits.most_x_m(width_m, backward=True)
+    forward = [("forward", (s * ahead_m, width_m, 0.0)) for s in (0.25, 0.5, 0.75, 1.0)]
+    backward = [("backward", (s * back_m, width_m, 0.0)) for s in (0.5, 1.0)]
+    widest = kept_within(np.array([[0.0, limits.y_m[1], 0.0]]), limits, width_m)[0]
+    return [*forward, *backward, ("sideways", (0.0, float(widest[1]), 0.0))]
+
+
+def push_parts(bench: Bench) -> list[Part]:
+    """Success against impulse, a part for each direction."""
+    mass_kg, count = bench.robot.mass_kg, bench.share(10)
+    impulses_ns = [round(mass_kg * speed, 1) for speed in PUSH_SPEEDS_M_S]
+
+    def measure(results: Results, direction: str) -> dict[str, Any]:
+        success = push_recovery(
+            bench.robot,
+            bench.policy,
+            direction,
+            impulses_ns,
+            count=count,
+            seed=bench.seed,
+            threads=bench.threads,
+        )
+        return {
+            "direction": direction,
+            "walks": count,
+            "impulses_ns": impulses_ns,
+            "success": success,
+        }
+
+    return [
+        Part(
+            section="push",
+            name=f"push-{direction.replace(' ', '-')}",
+            robot_seconds=count * len(impulses_ns) * PUSH_WALK_S,
+            measure=partial(measure, direction=direction),
+        )
+        for direction in DIRECTIONS
+    ]
+
+
+# What planning should know of its follower: step limits, margins of foot and body, rises.
+#
+# The limits are a box of steps cut back until the walks within it succeed; the margins are measured
+# on walks within those limits.
+
+SUCCESS = 0.99
+# An episode on stairs climbs more steps than most flights have.
+STAIRS_SUCCESS = 0.98
+PLANNED_S = 16.0
+REACH_EVERY_TICKS = 2
+FLOOR_HALF_M = 4.0
+GOAL_WITHIN_M = 1.5
+
+
+def limits_parts(bench: Bench) -> list[Part]:
+    """A map of all kinds of steps, limits within which all succeed, and margins within those."""
+    robot = bench.robot
+    trained = replace(robot.step_model, limits=robot.training_model.limits)
+    kinds = kinds_over(
+        trained.limits, trained.stance_width_m, lambda steps: allowed(steps, trained)
+    )
+    each, planned = bench.share(40), min(bench.share(8), 125)
+
+    def measure_map(results: Results) -> dict[str, Any]:
+        cells = step_map(
+            robot, bench.policy, kinds, count=each, seed=bench.seed, threads=bench.threads
+        )
+        return {"walks_each": each, "kinds": cells}
+
+    def measure_region(results: Results) -> dict[str, Any]:
+        latest: list[StepWalks] = []
+
+        def walk_limits(limits: StepLimits) -> Trial:
+            walks, trial = _walk_within(bench, limits)
+            latest[:] = [walks]
+            return trial
+
+        trials = search_limits(trained, trained.limits, walk_limits, success=SUCCESS)
+        walks = latest[0]
+        errors = sole_errors_m(walks, robot.step_model.foot)
+        return {
+            "walks_each": len(walks.upright),
+            "tried": [{"limits": asdict(t.limits), "success": t.success} for t in trials],
+            "found": trials[-1].success >= SUCCESS,
+            "landings": len(errors),
+            "sole_error_m_p99": float(np.percentile(errors, 99)) if len(errors) else None,
+        }
+
+    def measure_sway(results: Results) -> dict[str, Any]:
+        region = results["limits-region"]
+        if not region["found"]:
+            return {"walks": 0, "body_beyond_box_m": {}}
+        limits = limits_from(region["tried"][-1]["limits"])
+        beyond = _sway_m(bench, limits, planned)
+        return {
+            "walks": planned,
+            "body_beyond_box_m": {name: [p99, most] for name, p99, most in beyond},
+        }
+
+    def part(name: str, walks: float, measure: Any, seconds: float = LIMITS_WALK_S) -> Part:
+        return Part(
+            section="limits", name=f"limits-{name}", robot_seconds=walks * seconds, measure=measure
+        )
+
+    return [
+        part("map", each * len(kinds), measure_map),
+        part("region", 3 * bench.episodes, measure_region),
+        part("sway", planned, measure_sway, PLANNED_S),
+    ]
+
+
+def _walk_within(bench: Bench, limits: StepLimits) -> tuple[StepWalks, Trial]:
+    stated = bench.robot.step_model
+    steps = tuple(step for step in stated.steps if limits.contain(step))
+    model = replace(stated, limits=limits, steps=steps)
+    return walk_within(
+        bench.robot,
+        bench.policy,
+        limits,
+        lambda steps: allowed(steps, model),
+        count=bench.episodes,
+        seed=bench.seed,
+        threads=bench.threads,
+        falls_at_most=math.floor((1 - SUCCESS) * bench.episodes + 1e-9),
+    )
+
+
+def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
+    """How far (N,) any point of a sole may have come down from its place.
+
+    A sole that is off by e and turned by a moves no point farther than e + r a, with r from its
+    centre to its corner.
+    """
+    corner_m = math.hypot(foot.length_m, foot.width_m) / 2
+    return np.asarray(walks.error_m + corner_m * walks.heading_error_rad)
+
+
+def _sway_m(bench: Bench, limits: StepLimits, count: int) -> list[tuple[str, float, float]]:
+    """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
+    from planner.planner import Planner  # the compiled search takes a second to load
+
+    provisional = Measured(
+        robot=bench.robot.name,
+        policy_sha256="",
+        limits=limits,
+        foot_margin_m=0.0,
+        body_margin_m=0.0,
+    )
+    model = planning_model(bench.robot.step_model, provisional)
+    cells = np.zeros((round(2 * FLOOR_HALF_M / 0.05),) * 2, np.uint8)
+    corner = (-FLOOR_HALF_M, -FLOOR_HALF_M, 0.0)
+    planner = Planner(OccupancyGrid(cells=cells, resolution_m=0.05, origin=corner), model)
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+        far = GOAL_WITHIN_M
+        goal = rng.uniform((-far, -far, -math.pi), (far, far, math.pi))
+        plan = planner.plan(goal=goal.tolist(), start_feet_world=feet, first_side=None)
+        return Track.of(feet, plan.side.astype(np.int64), plan.pose_world)
+
+    walker = set_off(bench.robot, draw, count=count, seed=bench.seed, threads=bench.threads)
+    reach = Reach(walker.scene, model.body)
+    beyond = []
+    stances = walker.cursor.stances
+    for tick in walk(walker, bench.policy, round(PLANNED_S / CONTROL_PERIOD_S)):
+        if tick.number % REACH_EVERY_TICKS == 0:
+            rows = np.flatnonzero(tick.upright)
+            beyond += [reach.beyond_m(walker.sim.qpos[row], stances[row]) for row in rows]
+        stances = walker.cursor.stances
+    found = np.array(beyond)
+    p99, most = np.percentile(found, 99, axis=0), found.max(axis=0)
+    order = np.argsort(most)
+    return [(reach.names[k], float(p99[k]), float(most[k])) for k in order]
+
+
+def measured_of(bench: Bench, results: Results) -> Measured | None:
+    """What planning is to know; None where it was not measured or the policy is not up to it."""
+    needed = ("limits-region", "limits-sway")
+    if any(name not in results for name in needed):
+        return None
+    region, sway = (results[name] for name in needed)
+    if not region["found"] or region["sole_error_m_p99"] is None:
+        return None
+    found = region["tried"][-1]
+    climb_m, stairs = _climb_m(bench, results)
+    limits = limits_from(found["limits"])
+    *_, (shape, (_, most_m)) = sway["body_beyond_box_m"].items()
+    return Measured(
+        robot=bench.robot.name,
+        policy_sha256=bench.policy.about["sha256"],
+        limits=replace(limits, z_m=climb_m),
+        foot_margin_m=_millimetres_up(region["sole_error_m_p99"]),
+        body_margin_m=_millimetres_up(max(most_m, 0.0)),
+        evidence={
+            "episodes": bench.episodes,
+            "seed": bench.seed,
+            "success_within_limits": found["success"],
+            "landings": region["landings"],
+            "planned_walks": sway["walks"],
+            "widest_shape": shape,
+            "success_on_stairs": stairs,
+        },
+    )
+
+
+def _climb_m(bench: Bench, results: Results) -> tuple[tuple[float, float], dict[str, float]]:
+    """How far a step may fall and rise, and the successes that say so.
+
+    No farther than the robot's file states, nor than stairs were walked; as stated where stairs
+    were not measured.
+    """
+    stated = bench.robot.step_model.limits.z_m
+    rows = [row for name, row in results.items() if name.startswith("stairs-")]
+    plain = [row for row in rows if row["noise_kind"] == "none"]
+    if not plain:
+        return stated, {}
+    told = {f"{row['way']} {row['rise_m']:g} m": float(row["success"]) for row in plain}
+    level = StepLimits(x_m=(0, 0), y_m=(0, 0), yaw_rad=(0, 0)).z_m
+    most = {
+        way: max(
+            (row["rise_m"] for row in plain if row["way"] == way and _walked(row)),
+            default=level[1],
+        )
+        for way in ("up", "down")
+    }
+    return (max(stated[0], -most["down"]), min(stated[1], most["up"])), told
+
+
+def _walked(row: dict[str, Any]) -> bool:
+    return bool(row["success"] >= STAIRS_SUCCESS)
+
+
+def _millimetres_up(length_m: float) -> float:
+    return math.ceil(round(1000 * length_m, 6)) / 1000
+
 
 SECTIONS: Mapping[str, Callable[[Bench], list[Part]]] = {
     "modes": modes_parts,

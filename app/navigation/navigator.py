@@ -21,9 +21,9 @@ from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
-from sim.ground import MapGround
 from sim.robot import Robot
 from sim.scene import Scene, Walls, build_scene
+from sim.terrain import MapGround
 
 PHYSICS_TIMESTEP_S = 0.001
 GOAL_TOLERANCE_M = 0.10

@@ -17,8 +17,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from app.errors import ExitCode
-from app.output import to_json
+from app.output import ExitCode, to_json
 
 FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")

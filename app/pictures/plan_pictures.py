@@ -2,18 +2,99 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from app.output import write_picture
-from app.pictures.canvas import GOAL, LEFT, PATH, RIGHT, START, Canvas, Colour, draw_plan
-from app.pictures.legend import Picture, Swatch, with_legend
-from app.pictures.relief import height_colour, height_range
+from app.output import replacing, write_picture
+from app.pictures.canvas import (
+    GOAL,
+    LEFT,
+    PATH,
+    RIGHT,
+    START,
+    Canvas,
+    Colour,
+    draw_plan,
+    height_colour,
+    height_range,
+)
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
 from planner.robot_model import FootShape, Side, StepModel
+from planner.search.problem import SearchRecord
+
+# A band below a picture that says what it shows: a title and what the colours mean.
+
+Picture = NDArray[np.uint8]
+
+INK: Colour = (54, 48, 45)
+PAPER: Colour = (255, 255, 255)
+_PALE, _OUTLINE = 230, (170, 170, 170)  # what is paler than this shows on paper by its outline
+LEAST_WIDTH_PX = 640
+LINE_HEIGHT_PX = 26
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swatch:
+    """One entry of the legend; filled or as an outline. Colours are blue, green, red."""
+
+    colour: Colour
+    text: str
+    filled: bool = True
+
+
+def with_legend(picture: Picture, title: str, legend: Sequence[Swatch]) -> Picture:
+    """The picture (H, W, 3) with title and legend below; narrow ones get paper to the right."""
+    width_px = max(LEAST_WIDTH_PX, picture.shape[1])
+    lines = textwrap.wrap(title, width_px // 10)
+    rows = _rows(legend, width_px)
+    height_px = picture.shape[0]
+    band_px = (len(lines) + len(rows)) * LINE_HEIGHT_PX + 12
+    whole = np.full((height_px + band_px, width_px, 3), PAPER, np.uint8)
+    whole[:height_px, : picture.shape[1]] = picture
+    for number, line in enumerate(lines):
+        _write(whole, line, 12, height_px + (number + 1) * LINE_HEIGHT_PX - 4)
+    for number, row in enumerate(rows, start=len(lines)):
+        for left_px, swatch in row:
+            _draw_swatch(whole, swatch, left_px, height_px + number * LINE_HEIGHT_PX + 7)
+    return whole
+
+
+def _rows(legend: Sequence[Swatch], width_px: int) -> list[list[tuple[int, Swatch]]]:
+    """The entries in rows that fit the width, each with where it begins."""
+    rows: list[list[tuple[int, Swatch]]] = [[]]
+    left_px = 12
+    for swatch in legend:
+        needed_px = 50 + 9 * len(swatch.text)
+        if rows[-1] and left_px + needed_px > width_px:
+            rows.append([])
+            left_px = 12
+        rows[-1].append((left_px, swatch))
+        left_px += needed_px
+    return rows
+
+
+def _draw_swatch(picture: Picture, swatch: Swatch, left_px: int, top_px: int) -> None:
+    corners = (left_px, top_px), (left_px + 22, top_px + 11)
+    cv2.rectangle(picture, *corners, swatch.colour, -1 if swatch.filled else 2, cv2.LINE_AA)
+    if swatch.filled and min(swatch.colour) > _PALE:
+        cv2.rectangle(picture, *corners, _OUTLINE, 1, cv2.LINE_AA)
+    _write(picture, swatch.text, left_px + 30, top_px + 12)
+
+
+def _write(picture: Picture, text: str, left_px: int, base_px: int) -> None:
+    place = (left_px, base_px)
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+
 
 FloatArray = NDArray[np.float64]
 
@@ -130,3 +211,111 @@ def _title(plan: FootstepPlan) -> str:
     if not plan.found:
         return f"no plan: {plan.status}: {plan.reason}"
     return f"{plan.robot} on {plan.map}: {len(plan)} steps planned, cost {plan.cost_m:.2f} m"
+
+
+# How a search went: the poses that it looked at, and its plan's cost over time.
+
+FEET = {Side.LEFT: "#1f77b4", Side.RIGHT: "#d62728"}
+GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown
+
+
+def write_search_picture(
+    path: Path, grid: OccupancyGrid, plan: FootstepPlan, record: SearchRecord, cell_m: float
+) -> None:
+    """Draws a search over the map of its plan, and its cost over time, into an image file."""
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    on_map, over_time = figure.subplots(1, 2, width_ratios=(3, 2))
+    _draw_expanded(figure, on_map, grid, plan, record, cell_m)
+    _draw_cost(over_time, plan, record)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format=path.suffix.lstrip(".").lower())
+
+
+def _draw_expanded(
+    figure: Figure,
+    axes: Axes,
+    grid: OccupancyGrid,
+    plan: FootstepPlan,
+    record: SearchRecord,
+    cell_m: float,
+) -> None:
+    rows, cols = grid.cells.shape
+    corners = np.stack(np.meshgrid(np.arange(cols + 1), np.arange(rows + 1)), axis=-1)
+    x_m, y_m = grid.grid_to_world(corners * grid.resolution_m).transpose(2, 0, 1)
+    axes.pcolormesh(x_m, y_m, grid.cells, cmap=ListedColormap(GROUND), vmin=0, vmax=2)
+    if len(record.expanded):
+        x, y, states = record.expanded.T
+        order = np.argsort(states)
+        norm = LogNorm(1, max(2.0, float(states.max())))
+        points_per_m = 72 * figure.get_size_inches()[0] * 0.5 / max(grid.size_m)
+        size = max(0.5, (cell_m * points_per_m) ** 2)
+        seen = axes.scatter(
+            x[order], y[order], s=size, c=states[order], norm=norm, cmap="YlGnBu", marker="s", lw=0
+        )
+        figure.colorbar(seen, ax=axes, label="states expanded in a cell of the lattice")
+    for side, colour in FEET.items():
+        feet = plan.pose_world[plan.side == side]
+        axes.plot(feet[:, 0], feet[:, 1], "o", ms=3, color=colour, label=side.name.lower())
+    axes.set(aspect="equal", xlabel="x, m", ylabel="y, m", title="where it looked")
+    axes.legend(fontsize=8, loc="upper right")
+
+
+def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
+    time_ms = 1e3 * record.time_s
+    found = np.isfinite(record.cost_m)
+    axes.step(time_ms[found], record.cost_m[found], where="post", label="cost of the best plan")
+    bound_m = np.maximum.accumulate(record.least_m) if len(record.least_m) else record.least_m
+    axes.step(time_ms, bound_m, where="post", label="any plan costs at least")
+    if plan.cost_before_refinement_m is not None:
+        label = "the same, refined off the lattice"
+        axes.plot(1e3 * plan.time_s, plan.cost_m, "k*", ms=9, label=label)
+    axes.set(xlabel="time since the request, ms", ylabel="cost, m", title="cost over time")
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=8, loc="lower right")
+
+
+# A plan before and after refinement, side by side over the same part of the map.
+
+_GAP_PX = 16
+
+
+def write_refinement_picture(
+    path: Path, grid: OccupancyGrid, model: StepModel, before: FootstepPlan, after: FootstepPlan
+) -> None:
+    """Draws the plan of the search on the left and what refinement made of it on the right.
+
+    Raises:
+        InputError: The file cannot be written.
+    """
+    write_picture(path, refinement_picture(grid, model, before, after))
+
+
+def refinement_picture(
+    grid: OccupancyGrid, model: StepModel, before: FootstepPlan, after: FootstepPlan
+) -> Picture:
+    """The two plans, (H, W, 3)."""
+    shown_world = np.vstack(
+        [after.start_feet_world[:, :2], before.pose_world[:, :2], after.pose_world[:, :2]]
+    )
+    legend = [
+        Swatch(colour=LEFT, text="left foot"),
+        Swatch(colour=RIGHT, text="right foot"),
+        Swatch(colour=PATH, text="midway between the feet"),
+    ]
+    panels = [
+        with_legend(
+            draw_plan(plan, grid, model, shown_world=shown_world),
+            f"{when}: {len(plan)} steps, cost {plan.cost_m:.2f} m",
+            legend,
+        )
+        for when, plan in (("before", before), ("after", after))
+    ]
+    # The same part of the map, but a long title may take two lines.
+    height_px = max(panel.shape[0] for panel in panels)
+    width_px = sum(panel.shape[1] for panel in panels) + _GAP_PX
+    whole = np.full((height_px, width_px, 3), PAPER, np.uint8)
+    left, right = panels
+    whole[: left.shape[0], : left.shape[1]] = left
+    whole[: right.shape[0], width_px - right.shape[1] :] = right
+    return whole

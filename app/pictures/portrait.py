@@ -10,11 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.errors import ExitCode, InputError
-from app.inputs import RobotName, find_robot
-from app.options import FileOption
-from app.output import PICTURE_ENDINGS, require_writable, write_picture
-from app.parsing import parse_options
+from app.options import FileOption, RobotName, find_robot, parse_options
+from app.output import PICTURE_ENDINGS, ExitCode, InputError, require_writable, write_picture
 from app.pictures.rendering import Picture, Recording, View, drawing
 from sim.gl import NoGlError, prepare_gl
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -10,15 +10,191 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from app.pictures.cutaway import GLASS_ALPHA, eye_position, fixed_boxes, hides, points_to_see
-from app.pictures.footmarks import Footmarks
+from app.pictures.canvas import LEFT, RIGHT
+from planner.plan import FootstepPlan
+from planner.robot_model import FootShape, Side
 from sim.gl import NoGlError
-from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
+from sim.robot import GROUND_PREFIX, PHYSICS_GROUP, VISUAL_GROUP
 
 if TYPE_CHECKING:
     import mujoco
 
-FloatArray = NDArray[np.floating]
+    from app.navigation.navigator import Placed
+
+
+# Which walls stand between the camera and the robot, so that they can be drawn as glass.
+
+FloatArray = NDArray[np.float64]
+
+GLASS_ALPHA = 0.06
+# Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
+_SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
+_SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Boxes:
+    """Boxes that never move: geom (n,) index in the model; the rest in the world frame.
+
+    centre_m (n, 3); T_world_box (n, 3, 3) takes directions of the box to the world;
+    half_m (n, 3) half lengths.
+    """
+
+    geom: NDArray[np.intp]
+    centre_m: FloatArray
+    T_world_box: FloatArray
+    half_m: FloatArray
+
+
+def fixed_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> Boxes:
+    """The box geoms of the model that are welded to the world; data holds their poses.
+
+    Not those that are ground: a robot stands on them, and glass would look like a hole.
+    """
+    import mujoco
+
+    is_box = model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)
+    is_fixed = model.body_weldid[model.geom_bodyid] == 0
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    is_ground = np.array([name.startswith(GROUND_PREFIX) for name in names])
+    geom = np.flatnonzero(is_box & is_fixed & ~is_ground)
+    return Boxes(
+        geom=geom,
+        centre_m=np.array(data.geom_xpos[geom]),
+        T_world_box=np.array(data.geom_xmat[geom]).reshape(-1, 3, 3),
+        half_m=np.array(model.geom_size[geom]),
+    )
+
+
+def hides(boxes: Boxes, eye_m: FloatArray, points_m: FloatArray) -> NDArray[np.bool_]:
+    """Whether each box (n,) cuts the line from the eye (3,) to any of the points (m, 3)."""
+    # Slab test in each box's own frame: line = eye + t (point - eye), 0 <= t <= 1.
+    eye = np.einsum("nji,nj->ni", boxes.T_world_box, eye_m - boxes.centre_m)[:, None, :]
+    along = np.einsum("nji,mj->nmi", boxes.T_world_box, points_m - eye_m)
+    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
+    half = boxes.half_m[:, None, :]
+    one, other = (-half - eye) / along, (half - eye) / along
+    enter = np.minimum(one, other).max(axis=2)
+    leave = np.maximum(one, other).min(axis=2)
+    cut: NDArray[np.bool_] = ((enter <= leave) & (leave >= 0) & (enter <= 1)).any(axis=1)
+    return cut
+
+
+def points_to_see(place_m: FloatArray, eye_m: FloatArray, ground_m: float = 0.0) -> FloatArray:
+    """Points (m, 3) of a robot that stands at the place (2,), spread as the eye (3,) sees it.
+
+    ground_m: the height of the ground there.
+    """
+    towards = place_m - eye_m[:2]
+    sideways = np.array([-towards[1], towards[0]]) / max(1e-9, float(np.hypot(*towards)))
+    return np.array(
+        [
+            [*(place_m + offset_m * sideways), ground_m + height_m]
+            for height_m in _SEEN_HEIGHTS_M
+            for offset_m in _SEEN_OFFSETS_M
+        ]
+    )
+
+
+def eye_position(
+    lookat_m: FloatArray, distance_m: float, azimuth_deg: float, elevation_deg: float
+) -> FloatArray:
+    """Where MuJoCo's free camera with these settings is, (3,) in the world frame."""
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    forward = np.array(
+        [
+            np.cos(elevation) * np.cos(azimuth),
+            np.cos(elevation) * np.sin(azimuth),
+            np.sin(elevation),
+        ]
+    )
+    return np.asarray(lookat_m, dtype=float) - distance_m * forward
+
+
+# Footprints on the floor of films and strips: where feet are to stand, and where they did.
+
+_PLANNED_ALPHA, _PLACED_ALPHA = 0.35, 0.9
+# Above one another, so that no two fight for the same pixels.
+_PLANNED_THICKNESS_M, _PLACED_THICKNESS_M = 0.004, 0.007
+
+
+@dataclass(frozen=True, kw_only=True)
+class Footmarks:
+    """Plates on the ground, each shown for a while.
+
+    pose_world (N, 4) x, y, z, yaw of the ground below; rgba (N, 4) from 0 to 1; thickness_m (N,);
+    each is shown from from_s (N,) until before until_s (N,).
+    """
+
+    foot: FootShape
+    pose_world: FloatArray
+    rgba: FloatArray
+    thickness_m: FloatArray
+    from_s: FloatArray
+    until_s: FloatArray
+
+    def add_to(self, scene: mujoco.MjvScene, time_s: float) -> None:
+        """Adds those that are shown at this time to a scene that is about to be drawn."""
+        import mujoco
+
+        for number in np.flatnonzero((self.from_s <= time_s) & (time_s < self.until_s)):
+            if scene.ngeom >= scene.maxgeom:
+                return
+            x_m, y_m, z_m, yaw_rad = self.pose_world[number]
+            cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+            half_m = self.thickness_m[number] / 2
+            mujoco.mjv_initGeom(
+                scene.geoms[scene.ngeom],
+                mujoco.mjtGeom.mjGEOM_BOX.value,
+                np.array([self.foot.length_m / 2, self.foot.width_m / 2, half_m]),
+                np.array([x_m, y_m, z_m + half_m]),
+                np.array([cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]),
+                self.rgba[number].astype(np.float32),
+            )
+            scene.ngeom += 1
+
+
+def footmarks_of(
+    foot: FootShape,
+    followed: Sequence[tuple[float, FootstepPlan]],
+    placed: Sequence[Placed],
+) -> Footmarks:
+    """The marks of a walk: pale ones for steps that lie ahead, full ones where feet came to rest.
+
+    followed: the plans with the times at which they were taken up, in order.
+    """
+    poses: list[FloatArray] = []
+    rows: list[tuple[Side, bool, float, float]] = []
+    ends = [*(begun_s for begun_s, _ in followed[1:]), np.inf]
+    for (begun_s, plan), end_s in zip(followed, ends, strict=False):
+        taken = [step.time_s for step in placed if begun_s < step.time_s <= end_s]
+        # A step whose foot has come down gives way to the print of it.
+        until = [*taken, *[end_s] * len(plan)]
+        for side, pose, until_s in zip(plan.side, plan.pose_world, until, strict=False):
+            poses.append(pose)
+            rows.append((Side(int(side)), False, begun_s, until_s))
+    for step in placed:
+        poses.append(step.placed_world)
+        rows.append((step.side, True, step.time_s, np.inf))
+    return Footmarks(
+        foot=foot,
+        pose_world=np.array(poses, dtype=np.float64).reshape(-1, 4),
+        rgba=np.array([_rgba(side, done) for side, done, _, _ in rows]).reshape(-1, 4),
+        thickness_m=np.where(
+            [done for _, done, _, _ in rows], _PLACED_THICKNESS_M, _PLANNED_THICKNESS_M
+        ),
+        from_s=np.array([from_s for _, _, from_s, _ in rows]),
+        until_s=np.array([until_s for _, _, _, until_s in rows]),
+    )
+
+
+def _rgba(side: Side, is_placed: bool) -> list[float]:
+    """The colours of plans' pictures, which are written blue, green, red there."""
+    colour = LEFT if side is Side.LEFT else RIGHT
+    alpha = _PLACED_ALPHA if is_placed else _PLANNED_ALPHA
+    return [*(value / 255 for value in colour[::-1]), alpha]
+
+
 Picture = NDArray[np.uint8]
 
 
@@ -30,7 +206,7 @@ class Recording:
     """
 
     qpos: FloatArray
-    time_s: FloatArray
+    time_s: NDArray[np.floating]
     ground_m: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -96,7 +272,7 @@ def camera_path(recording: Recording, view: View) -> CameraPath:
     )
 
 
-def _smooth(values: FloatArray, time_s: FloatArray, width_s: float) -> FloatArray:
+def _smooth(values: FloatArray, time_s: NDArray[np.floating], width_s: float) -> FloatArray:
     """Values (T, n) averaged by a bell curve of this width; the ends count as if they went on."""
     if len(values) < 2 or width_s <= 0:
         return values

@@ -6,12 +6,9 @@ import time
 from dataclasses import dataclass
 
 from app.viewer.live_navigator import Ahead, Rover
-from app.viewer.planner_process import PlanningProcess
-from app.viewer.questions import Answer
-from app.viewer.record import Record
-from app.viewer.setting import finite_pose
-from app.viewer.snapshot import Notice
-from planner.plan import FootstepPlan, Pose
+from app.viewer.planner_process import Answer, PlanningProcess
+from app.viewer.snapshot import Notice, Record
+from planner.plan import FootstepPlan, Pose, finite_pose
 
 
 @dataclass(frozen=True, kw_only=True)

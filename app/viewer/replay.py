@@ -9,17 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from app.navigation.navigator import Placed
-from app.output import write_text
+from app.output import ProgressBar, write_text
 from app.pictures.rendering import Recording
-from app.progress import ProgressBar
-from app.viewer.camera import overview
-from app.viewer.cameras import aim_pages
-from app.viewer.figure import Figure
+from app.viewer.camera import aim_pages, overview
 from app.viewer.map_scene import add_floor
-from app.viewer.markers import Prints
-from app.viewer.robot_scene import look_of
+from app.viewer.markers import Marker, Prints
+from app.viewer.robot_scene import Figure, look_of
 from app.viewer.server import open_server
-from app.viewer.signs import Marker
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
 from sim.robot import Robot

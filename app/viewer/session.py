@@ -4,30 +4,203 @@ from __future__ import annotations
 
 import copy
 import math
+import queue
 import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
-from app.errors import InputError
-from app.navigation.navigator import Navigator, PlansSteps
-from app.viewer.command_queue import Wishes
+from app.navigation.navigator import Navigator, NavigatorConfig, PlansSteps
+from app.output import InputError
 from app.viewer.live_navigator import Rover
-from app.viewer.make_snapshot import look
-from app.viewer.obstacles import Obstacle
-from app.viewer.planner_process import PatientPlanner, PlanningProcess
-from app.viewer.real_time import Pace
-from app.viewer.record import Record
+from app.viewer.nearest_pose import Stand, place_to_stand
+from app.viewer.obstacles import Obstacle, with_obstacles
+from app.viewer.planner_process import PatientPlanner, PlanningProcess, World
 from app.viewer.replanning import Guide
-from app.viewer.setting import Setting, finite_pose
-from app.viewer.snapshot import Notice, Snapshot
+from app.viewer.snapshot import Notice, Record, Snapshot
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
-from planner.plan import Pose
+from planner.plan import FootstepPlan, Pose, finite_pose
 from sim.robot import Robot
+
+# Wishes from many threads, fulfilled by one.
+
+
+class Wishes:
+    """Things to do, in the order in which they were wished for."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+
+    def add(self, wish: Callable[[], None]) -> None:
+        """Returns at once; from any thread."""
+        self._queue.put(wish)
+
+    def grant(self, wait_s: float, fulfil: Callable[[Callable[[], None]], None]) -> None:
+        """Has all that are there fulfilled; waits for one for so long."""
+        try:
+            wish = self._queue.get(timeout=wait_s) if wait_s > 0 else self._queue.get_nowait()
+            while True:
+                fulfil(wish)
+                wish = self._queue.get_nowait()
+        except queue.Empty:
+            return
+
+
+# How fast simulated time passes against the clock on the wall.
+
+# What was missed for longer than this is not caught up.
+_FORGIVEN_S = 0.5
+_MEASURED_OVER_S = 1.0
+
+
+class Pace:
+    """Says when the next tick is due. `factor` is simulated over real time; 0 pauses.
+
+    `factor` may be set from any thread. While `is_idle`, there is nothing to
+    hurry for: time passes no faster than on the wall.
+    """
+
+    def __init__(self, factor: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.factor = factor
+        self.is_idle = False
+        self.reached = 0.0
+        self._clock = clock
+        self._due_s = clock()
+        self._since_s = clock()
+        self._passed_s = 0.0
+
+    @property
+    def _factor(self) -> float:
+        return min(1.0, self.factor) if self.is_idle else self.factor
+
+    def wait_s(self) -> float:
+        """Real time until the next tick is due; infinite while paused."""
+        factor = self._factor
+        if factor <= 0:
+            return math.inf
+        return 0.0 if math.isinf(factor) else max(0.0, self._due_s - self._clock())
+
+    def is_due(self) -> bool:
+        """Whether to tick now."""
+        self._measure()
+        return self.wait_s() <= 0.0
+
+    def ticked(self, period_s: float) -> None:
+        """Notes that so much simulated time has passed."""
+        self._passed_s += period_s
+        now_s = self._clock()
+        factor = self._factor
+        if math.isinf(factor) or factor <= 0:
+            self._due_s = now_s
+            return
+        self._due_s = max(self._due_s + period_s / factor, now_s - _FORGIVEN_S)
+
+    def skip(self) -> None:
+        """Notes that there was nothing to tick for: what was missed is not caught up."""
+        self._due_s = self._clock()
+        self._measure()
+
+    def _measure(self) -> None:
+        now_s = self._clock()
+        if now_s - self._since_s >= _MEASURED_OVER_S:
+            self.reached = self._passed_s / (now_s - self._since_s)
+            self._since_s, self._passed_s = now_s, 0.0
+
+
+# What a walk takes place in: map and boxes, robot and policy, where it begins, how it plans.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """All that a walk depends on besides its goal; `dataclasses.replace` makes another one.
+
+    bare_grid: the map without the boxes. start: where the robot is put.
+    """
+
+    bare_grid: OccupancyGrid
+    robot: Robot
+    policy: Policy
+    start: Pose
+    options: PlannerOptions
+    seed: int
+    obstacles: tuple[Obstacle, ...] = ()
+
+    @cached_property
+    def grid(self) -> OccupancyGrid:
+        """The map with the boxes."""
+        return with_obstacles(self.bare_grid, self.obstacles)
+
+    @property
+    def world(self) -> World:
+        """What is planned over."""
+        return World(grid=self.grid, model=self.robot.step_model, options=self.options)
+
+    def stand(self, pose: Pose) -> Stand:
+        """Whether the robot can be put at a pose."""
+        unknown_is_free = self.options.unknown_is_free
+        return place_to_stand(self.grid, self.robot.step_model, unknown_is_free, pose)
+
+    def rover(self, *, goal: Pose | None = None, planner: PlansSteps | None) -> Rover:
+        """A robot that stands at the start, with a goal or without; None plans in this process."""
+        return Rover(
+            self.grid,
+            self.robot,
+            self.policy,
+            start=self.start,
+            goal=self.start if goal is None else goal,
+            seed=self.seed,
+            config=NavigatorConfig(planner=self.options),
+            planner=planner,
+        )
+
+
+# What there is to be seen of a session at this moment.
+
+
+def look(guide: Guide, record: Record, *, start: Pose, speed: float) -> Snapshot:
+    """The robot, its plan and its walk so far; called in the thread of the physics."""
+    rover = guide.rover
+    plan, done = _plan_to_show(guide)
+    return Snapshot(
+        qpos=rover.qpos[-1],
+        time_s=rover.time_s,
+        walk=record.walk,
+        start=start,
+        goal=finite_pose(rover.goal) if rover.plans and not rover.halted else None,
+        wished=guide.wished,
+        plan=plan,
+        done=done,
+        placed_side=record.placed_side,
+        placed_world=record.placed_world,
+        foot_error_m=record.foot_error_m,
+        path_world=record.path_world,
+        status=rover.status(is_asking=guide.question is not None),
+        replans=rover.replans,
+        answer_s=guide.answer_s,
+        clearance_m=record.clearance_m,
+        goal_error=rover.goal_error if rover.plans else None,
+        speed=speed,
+        notice=guide.notice,
+    )
+
+
+def _plan_to_show(guide: Guide) -> tuple[FootstepPlan | None, int]:
+    """The plan to be seen, and how many of its steps have been taken."""
+    rover = guide.rover
+    if rover.waiting is not None:
+        return rover.waiting, 0
+    if guide.question is not None and guide.preview is not None and not rover.going:
+        return guide.preview, 0
+    if not rover.followed:
+        return None, 0
+    begun_s, plan = rover.followed[-1]
+    return plan, sum(placed.time_s > begun_s for placed in rover.placed)
+
 
 # A box this near to the middle of the robot would be set down on it.
 ROOM_FOR_ROBOT_M = 0.45

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from app.commands.navigate_options import NavigateOptions
 from app.navigation.navigator import Navigator
-from app.progress import say
-from app.viewer.opening import opened
+from app.output import say
+from app.viewer.page import opened
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from sim.robot import Robot

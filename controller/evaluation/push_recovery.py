@@ -27,7 +27,7 @@ DIRECTIONS: Mapping[str, tuple[float, float]] = MappingProxyType(
 )
 PUSH_S = 0.1
 EARLIEST_S = 2.0
-WALK_S = 8.0
+PUSH_WALK_S = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ def _walk_pushed(
     threads: int,
 ) -> np.ndarray:
     """Which robots (B,) are upright at the end of the walk."""
-    steps = int(WALK_S / robot.gait.step_s) + 2
+    steps = int(PUSH_WALK_S / robot.gait.step_s) + 2
     width_m = robot.step_model.stance_width_m
     ahead_m = robot.step_model.limits.most_x_m(width_m)
 
@@ -104,7 +104,7 @@ def _walk_pushed(
     walker = set_off(robot, draw, count=len(pushes), seed=seed, threads=threads)
     still = (0.0, 0.0, 0.0)
     upright = np.ones(len(pushes), dtype=bool)
-    for tick in walk(walker, policy, round(WALK_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, policy, round(PUSH_WALK_S / CONTROL_PERIOD_S)):
         upright, coming = tick.upright, tick.number + 1
         forces = [push.force_world_n if push.acts(coming) else still for push in pushes]
         walker.sim.push(np.array(forces))

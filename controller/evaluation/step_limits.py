@@ -5,21 +5,101 @@ Walks are 10 s long. Steps are (x_m, y_m, yaw_rad) in the support foot's frame, 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
-from controller.evaluation.limit_search import Trial, corners_of
 from controller.evaluation.rollouts import portions, set_off, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.step_cursor import STANCE, Track
 from controller.step_sequences import chain_steps, kept_within
-from planner.robot_model import Side, StepLimits
-from sim.robot import Robot
+from planner.plan import pair_pose
+from planner.robot_model import BodyShape, Side, StepLimits, StepModel
+from sim.robot import PHYSICS_GROUP, Robot
+from sim.scene import Scene
 
-WALK_S = 10.0
+# Step limits that a policy keeps to: the widest box of steps in which its walks succeed.
+#
+# The search begins with the limits trained on. Where too many walks fall, the corner of the box at
+# which most do is cut back a little, on the side where planning loses least, and so on.
+
+AXES = ("x_m", "y_m", "yaw_rad")
+CUT = {"x_m": 0.02, "y_m": 0.01, "yaw_rad": 0.03}
+MOST_CUTS = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """How walks within some limits went: `fell` (8,) of `walked` (8,) that touched each corner.
+
+    Corners are in the order of `corners_of`.
+    """
+
+    limits: StepLimits
+    success: float
+    walked: np.ndarray
+    fell: np.ndarray
+
+    @property
+    def worst_corner(self) -> int:
+        """The corner with the greatest share of falls."""
+        return int(np.argmax(self.fell / np.maximum(self.walked, 1)))
+
+
+def corners_of(limits: StepLimits) -> np.ndarray:
+    """The corners (8, 3) of the limits; low before high, the last axis changes fastest."""
+    return np.array(list(itertools.product(limits.x_m, limits.y_m, limits.yaw_rad)))
+
+
+def search_limits(
+    model: StepModel, widest: StepLimits, walk: Callable[[StepLimits], Trial], *, success: float
+) -> list[Trial]:
+    """All trials, the last with at least so much success unless nothing is left to cut.
+
+    Args:
+        model: whose step set planning would rather keep, and whose stance stays inside.
+        widest: where to begin.
+        walk: lets robots walk within limits.
+        success: the share of walks without a fall that is enough.
+    """
+    trials = [walk(widest)]
+    while trials[-1].success < success and len(trials) <= MOST_CUTS:
+        narrower = cut_back(trials[-1].limits, trials[-1].worst_corner, model)
+        if narrower is None:
+            break
+        trials.append(walk(narrower))
+    return trials
+
+
+def cut_back(limits: StepLimits, corner: int, model: StepModel) -> StepLimits | None:
+    """The limits with one side of a corner moved inwards; None where the corner is the stance.
+
+    That side is chosen which loses the fewest steps of the set, then the smallest part of its
+    range.
+    """
+    stance = (0.0, model.stance_width_m, 0.0)
+    options: list[tuple[int, float, StepLimits]] = []
+    for axis, name in enumerate(AXES):
+        ends = list(getattr(limits, name))
+        high = corner >> (2 - axis) & 1
+        room = abs(ends[high] - stance[axis])
+        if room < 1e-9:
+            continue
+        cut = min(CUT[name], room)
+        span = ends[1] - ends[0]
+        ends[high] = round(ends[high] + (-cut if high else cut), 3)
+        narrower = replace(limits, **{name: (ends[0], ends[1])})
+        lost = sum(limits.contain(step) and not narrower.contain(step) for step in model.steps)
+        if any(narrower.contain(step) for step in model.steps):
+            options.append((int(lost), cut / span, narrower))
+    return min(options, key=lambda option: option[:2])[2] if options else None
+
+
+LIMITS_WALK_S = 10.0
 # Whether each step of (n, 3) is one that the feet can stand in.
 Possible = Callable[[np.ndarray], np.ndarray]
 # Gives steps (n, 3) of one walk, told how many and which robot's they are; and which of them count.
@@ -71,7 +151,7 @@ def _walk_portion(
     seed: np.random.SeedSequence,
     threads: int,
 ) -> StepWalks:
-    steps = int(WALK_S / robot.gait.step_s) + 2
+    steps = int(LIMITS_WALK_S / robot.gait.step_s) + 2
     counting = np.zeros((len(rows), steps), dtype=bool)
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
@@ -82,7 +162,7 @@ def _walk_portion(
     walker = set_off(robot, draw, count=len(rows), seed=seed, threads=threads)
     upright = np.ones(len(rows), dtype=bool)
     who, error_m, heading = [], [], []
-    for tick in walk(walker, policy, round(WALK_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, policy, round(LIMITS_WALK_S / CONTROL_PERIOD_S)):
         upright = tick.upright
         landed = np.flatnonzero(tick.landed)
         landed = landed[counting[landed, tick.entry[landed] - STANCE]]
@@ -210,3 +290,64 @@ def kinds_over(limits: StepLimits, stance_width_m: float, possible: Possible) ->
         ]
     )
     return grid[possible(grid)]
+
+
+# How far a walking body reaches beyond the boxes that its plan was checked with.
+#
+# The planner keeps a box around each pair of feet off the walls, grown by `body_margin_m`. A body
+# sways beyond that box; the margin must cover how far.
+
+FEET = ("left_foot", "right_foot")
+
+
+class Reach:
+    """Measures the reach of every collision shape above the feet, robot by robot."""
+
+    def __init__(self, scene: Scene, body: BodyShape):
+        self._model, self._body = scene.model, body
+        self._data = mujoco.MjData(scene.model)
+        model = scene.model
+        self._geoms = [
+            k
+            for k in range(model.ngeom)
+            if model.geom_group[k] == PHYSICS_GROUP and model.geom(k).name not in FEET
+        ]
+        self.names = [model.geom(k).name for k in self._geoms]
+
+    def beyond_m(self, qpos: np.ndarray, stances: np.ndarray) -> np.ndarray:
+        """How far each shape (G,) leaves the nearest of some boxes; negative is within.
+
+        Args:
+            qpos: the robot's state (nq,).
+            stances: both feet (n, 2, 4) of each stance that the plan was checked at nearby.
+        """
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        return np.min([self._beyond_box(pair_pose(feet)) for feet in stances], axis=0)
+
+    def _beyond_box(self, pose: np.ndarray) -> np.ndarray:
+        """How far each shape (G,) leaves the box at a pair pose (3,), along its farther axis."""
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0]])
+        half = np.array([self._body.length_m, self._body.width_m]) / 2
+        offset = self._data.geom_xpos[self._geoms] - [pose[0], pose[1], 0.0]
+        centre = np.abs(offset @ axes.T)
+        turned = np.abs(
+            self._data.geom_xmat[self._geoms].reshape(-1, 3, 3).transpose(0, 2, 1) @ axes.T
+        )
+        reach = [half_extent(self._model, k, turned[i]) for i, k in enumerate(self._geoms)]
+        return np.asarray((centre + np.array(reach) - half).max(axis=1))
+
+
+def half_extent(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> np.ndarray:
+    """Half the width (n,) of a shape along directions (3, n) given in its own axes, absolute.
+
+    Exact for spheres, capsules and boxes; of others the bounding box is taken.
+    """
+    size, kind = model.geom_size[geom], model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return np.full(direction.shape[1], size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return size[0] + size[1] * direction[2]
+    centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    return (np.abs(centre) + half) @ direction

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 
 from app.output import write_picture
-from app.pictures.strip import tile
+from app.pictures.film import tile
 from controller.curriculum import Stage
+from controller.env import TaskConfig
+from controller.gym_env import make_task
 from controller.gym_render import HEIGHT, WIDTH, Painter
-from controller.gym_task import make_task
 from controller.policy import Policy, load_policy
-from controller.task_config import TaskConfig
 from sim.robots import get_robot
 
 MODES = ("stairs_over", "stairs_curved")

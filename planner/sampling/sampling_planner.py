@@ -21,8 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from maps.distance import distance_field
-from maps.grid import OccupancyGrid
+from maps.grid import OccupancyGrid, distance_field
 from planner.collision import Terrain
 from planner.heuristics.heuristic import tables_of
 from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, cost_of
