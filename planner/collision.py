@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid, distance_field
-from planner.compiled import lean
+from planner.compiled import njit_no_refcount
 from planner.robot_model import StepModel
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
@@ -63,13 +63,13 @@ def terrain_of(grid: OccupancyGrid, unknown_is_free: bool) -> Terrain:
     )
 
 
-@lean
+@njit_no_refcount
 def point_clearance(terrain: Terrain, x: float, y: float) -> float:
     """Lower bound in metres on the distance from a point to blocked ground; 0 off the map."""
     return clearance_at(terrain.clearance_m, terrain.resolution_m, x, y)
 
 
-@lean
+@njit_no_refcount
 def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: float) -> float:
     """`point_clearance` for loops that have the field (H, W) and its cells' size at hand."""
     rows, cols = clearance_m.shape
@@ -80,7 +80,7 @@ def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: f
     return max(0.0, clearance_m[row, col] - math.sqrt(off_x * off_x + off_y * off_y))
 
 
-@lean
+@njit_no_refcount
 def box_free(
     terrain: Terrain, x: float, y: float, cos: float, sin: float, half_l: float, half_w: float
 ) -> bool:
@@ -160,7 +160,7 @@ def resting_heights(
     return np.where(np.abs(z_m - low) < np.abs(high - z_m), low, high)
 
 
-@lean
+@njit_no_refcount
 def box_heights(
     terrain: Terrain, x: float, y: float, cos: float, sin: float, half_l: float, half_w: float
 ) -> tuple[int, int]:
@@ -192,7 +192,7 @@ def box_heights(
     return low, high
 
 
-@lean
+@njit_no_refcount
 def highest_between(
     terrain: Terrain,
     start: tuple[float, float],

@@ -63,7 +63,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 _jit: Any = njit  # its types do not know of the option
 
 
-def lean(function: _Function) -> _Function:
+def njit_no_refcount(function: _Function) -> _Function:
     """Compiles a function that makes no arrays, takes none from others and gives none back.
 
     Nobody would count them. That it makes none the compiler checks.
@@ -72,10 +72,10 @@ def lean(function: _Function) -> _Function:
     return compiled
 
 
-def allocating(function: _Function) -> _Function:
-    """Compiles a function that makes arrays; said in so many words for those that `lean` ones call.
+def njit_arrays(function: _Function) -> _Function:
+    """Compiles a function that makes arrays, with reference counting.
 
-    They would else do as their callers do.
+    Say so of each that an `njit_no_refcount` function calls: it would else do as its caller does.
     """
     compiled: _Function = _jit(cache=True, _nrt=True)(function)
     return compiled
@@ -105,7 +105,7 @@ def tiled(cols: int, rows: int) -> int:
     return (cols // 8 + 1) * (rows // 8 + 1) * 64
 
 
-@lean
+@njit_no_refcount
 def in_tiles(col: int, row: int, cols: int) -> int:
     """Place of a cell where those of 8 x 8 cells follow one another, then those of the next.
 
@@ -145,14 +145,14 @@ def slots_for(nodes: int) -> Slots:
     return Slots(zeros((nodes >> BITS) + 1, np.int32), np.zeros(1, np.int64))
 
 
-@lean
+@njit_no_refcount
 def slot_of(slots: Slots, node: int) -> int:
     """The slot of a node; one in which nothing is known if it has none."""
     block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
     return block << BITS | node & LOW
 
 
-@lean
+@njit_no_refcount
 def take_slot(slots: Slots, node: int) -> int:
     """The slot of a node, which it gets if it has none."""
     block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
@@ -161,7 +161,7 @@ def take_slot(slots: Slots, node: int) -> int:
     return block << BITS | node & LOW
 
 
-@lean
+@njit_no_refcount
 def next_block(of_block: NDArray[np.int32], used: NDArray[np.int64], node: int) -> int:
     """The number of new slots for the block of a node."""
     used[0] += 1
@@ -169,7 +169,7 @@ def next_block(of_block: NDArray[np.int32], used: NDArray[np.int64], node: int) 
     return used[0]
 
 
-@allocating
+@njit_arrays
 def slots_of(slots: Slots, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     """`slot_of` nodes (n,)."""
     found = np.empty(len(nodes), np.int64)

@@ -14,7 +14,7 @@ from maps.grid import OccupancyGrid
 from planner.collision import heights_below, resting_heights, terrain_of
 from planner.endpoints import suggestion, what_blocks, what_obstructs
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.lattice import Region, build_space
+from planner.lattice.lattice import Region, build_lattice
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
 from planner.refinement.refine import refine
@@ -22,7 +22,7 @@ from planner.robot_model import Side, StepModel
 from planner.search.ad_star import plan_adstar
 from planner.search.ara_star import plan_ara, plan_astar, plan_backward
 from planner.search.coarse_to_fine import coarse_model
-from planner.search.problem import Request, Result, SearchRecord, Toward
+from planner.search.problem import GoalContext, Request, Result, SearchRecord
 from planner.search.r_star import plan_rstar
 from planner.verify import violations
 
@@ -80,7 +80,7 @@ class Planner:
         reach = self.options.goal_reach_m, self.options.goal_reach_rad
         # Planners of a path of the body know of no other end than the goal itself.
         self._region = Region() if self.options.name in SAMPLING_PLANNERS else Region(*reach)
-        self._toward: tuple[Pose, Toward] | None = None
+        self._context: tuple[Pose, GoalContext] | None = None
         # How the last search went, if the options ask for that: expanded cells in the world.
         self.record: SearchRecord | None = None
 
@@ -88,16 +88,16 @@ class Planner:
         """Plans over a changed map from now on; what is known where both agree is kept."""
         old, self.grid = self.grid, grid
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
-        if self._toward is None:
+        if self._context is None:
             return
-        goal, toward = self._toward
+        goal, context = self._context
         is_alike = (
             old.cells.shape == grid.cells.shape
             and old.resolution_m == grid.resolution_m
             and old.origin == grid.origin
-            and toward.space.terrain.is_flat == self._terrain.is_flat
+            and context.lattice.terrain.is_flat == self._terrain.is_flat
         )
-        self._toward = (goal, toward.over(self._terrain)) if is_alike else None
+        self._context = (goal, context.over(self._terrain)) if is_alike else None
 
     def plan(
         self,
@@ -179,7 +179,7 @@ class Planner:
         return None, ""
 
     def _has_other_ends(self, goal: Pose) -> bool:
-        return not self._region.is_point and len(self._toward_goal(goal).ends) > 0
+        return not self._region.is_point and len(self._context_of(goal).ends) > 0
 
     def _feet_at(self, pose: ArrayLike) -> FloatArray:
         """Feet (2, 4) of a robot that stands at a pair pose, on the ground."""
@@ -204,18 +204,18 @@ class Planner:
         off[:, 3] = wrap_angle(off[:, 3])
         return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
 
-    def _toward_goal(self, goal: Pose) -> Toward:
+    def _context_of(self, goal: Pose) -> GoalContext:
         """What searches to that goal share, kept until there is another."""
-        if self._toward is None or self._toward[0] != goal:
+        if self._context is None or self._context[0] != goal:
             coarse = None if self._coarse is None else self._laid_out(goal, self._coarse)
-            self._toward = goal, replace(self._laid_out(goal, self.model), coarse=coarse)
-        return self._toward[1]
+            self._context = goal, replace(self._laid_out(goal, self.model), coarse=coarse)
+        return self._context[1]
 
-    def _laid_out(self, goal: Pose, model: StepModel) -> Toward:
+    def _laid_out(self, goal: Pose, model: StepModel) -> GoalContext:
         tables = tables_of(model)
-        space = build_space(self.grid, self._terrain, model, tables.steps, goal)
-        return Toward(
-            space=space,
+        lattice = build_lattice(self.grid, self._terrain, model, tables.steps, goal)
+        return GoalContext(
+            lattice=lattice,
             model=model,
             tables=tables,
             region=self._region,
@@ -224,7 +224,7 @@ class Planner:
 
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
         request = Request(
-            toward=self._toward_goal(query.goal),
+            context=self._context_of(query.goal),
             feet_lattice=_to_lattice(query.start_feet_world, query.goal),
             feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
             stands=self._stands_too_near(query),

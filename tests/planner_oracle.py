@@ -234,8 +234,8 @@ class Oracle:
         return costs
 
 
-def oracle_node(space, node: int) -> Node:
+def oracle_node(lattice, node: int) -> Node:
     """The oracle's node of a node of a search's space."""
-    cell, row = divmod(node, 2 * space.headings)
-    up, across = divmod(cell, space.cols)
-    return across - space.origin_col, up - space.origin_row, row // 2, row % 2
+    cell, row = divmod(node, 2 * lattice.headings)
+    up, across = divmod(cell, lattice.cols)
+    return across - lattice.origin_col, up - lattice.origin_row, row // 2, row % 2

@@ -11,7 +11,7 @@ import pytest
 from maps.grid import Cell, OccupancyGrid
 from planner.collision import box_free, terrain_of
 from planner.lattice.footsteps import Stance, cost_of
-from planner.lattice.lattice import build_space
+from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import allowed, build_step_table, step_cost_um
 from planner.options import PlannerOptions
 from planner.plan import feet_at, relative_step
@@ -83,13 +83,13 @@ def cheapest_cost_um(path, model, first_side):
 def test_no_steps_along_a_path_are_cheaper(turn_rad, first_side):
     model = small_model()
     terrain = terrain_of(floor(), False)
-    space = build_space(floor(), terrain, model, build_step_table(model), (1.5, 1.2, 0.0))
+    lattice = build_lattice(floor(), terrain, model, build_step_table(model), (1.5, 1.2, 0.0))
     share = np.linspace(0, 1, 19)
     path = np.column_stack([0.8 + 0.7 * share, 1.2 + 0.2 * share**2, turn_rad * share])
     stance = standing(path[0], model, first_side)
-    steps = Strand(space, model, path, stance).to_end()
+    steps = Strand(lattice, model, path, stance).to_end()
     assert steps is not None
-    assert cost_of(space, model, stance, steps) == cheapest_cost_um(path, model, first_side)
+    assert cost_of(lattice, model, stance, steps) == cheapest_cost_um(path, model, first_side)
     if first_side is not None:
         assert steps.side[0] == first_side
     for side, pose in zip(steps.side[-2:], steps.pose[-2:], strict=True):
@@ -100,9 +100,9 @@ def test_a_strand_ends_where_something_stands_in_the_way():
     model = small_model()
     grid = floor(boxes=((20, 30, 28, 32),))
     terrain = terrain_of(grid, False)
-    space = build_space(grid, terrain, model, build_step_table(model), (2.0, 1.2, 0.0))
+    lattice = build_lattice(grid, terrain, model, build_step_table(model), (2.0, 1.2, 0.0))
     path = dense(np.array([[0.6, 1.2, 0.0], [2.0, 1.2, 0.0]]))
-    strand = Strand(space, model, path, standing(path[0], model))
+    strand = Strand(lattice, model, path, standing(path[0], model))
     assert strand.to_end() is None
     # The body, 0.36 m long, comes as far as 0.18 m before the obstacle at 1.5 m.
     assert path[strand.end, 0] == pytest.approx(1.3, abs=0.03)

@@ -8,7 +8,7 @@ import pytest
 from maps.grid import Cell
 from planner.collision import terrain_of
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.lattice import COST_UM, D_NODE, build_space, may_end_at, node_free
+from planner.lattice.lattice import COST_UM, D_NODE, build_lattice, may_end_at, node_free
 from planner.lattice.map_change import change_between
 from planner.search.ad_star_tree import step_um
 from planner.search.search_task import new_tree
@@ -27,17 +27,17 @@ def steps_over(grid, model, nodes):
 
     Of a lattice made for this map; below 0 where a step is not allowed.
     """
-    space = build_space(grid, terrain_of(grid, False), model, tables_of(model).steps, GOAL)
-    tree = new_tree(space, space.steps, False)
-    rows = 2 * space.headings
-    costs_um = np.full((len(nodes), space.steps.shape[1]), -1, np.int64)
+    lattice = build_lattice(grid, terrain_of(grid, False), model, tables_of(model).steps, GOAL)
+    tree = new_tree(lattice, lattice.steps, False)
+    rows = 2 * lattice.headings
+    costs_um = np.full((len(nodes), lattice.steps.shape[1]), -1, np.int64)
     for i, node in enumerate(nodes):
-        if not node_free(space, node):
+        if not node_free(lattice, node):
             continue
-        for k in np.flatnonzero(space.steps[node % rows, :, COST_UM]):
-            to = int(node + space.steps[node % rows, k, D_NODE])
-            costs_um[i, k] = step_um(space, tree, int(node), to)
-    return costs_um, np.array([may_end_at(space, node) for node in nodes])
+        for k in np.flatnonzero(lattice.steps[node % rows, :, COST_UM]):
+            to = int(node + lattice.steps[node % rows, k, D_NODE])
+            costs_um[i, k] = step_um(lattice, tree, int(node), to)
+    return costs_um, np.array([may_end_at(lattice, node) for node in nodes])
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
@@ -53,17 +53,17 @@ def test_only_steps_with_feet_near_to_a_change_see_it(resolution_m, model):
     cells[5:7, 8:9] = Cell.FREE
     cells[row, col] = Cell.OCCUPIED
     after = grid.with_cells(cells)
-    space = build_space(before, terrain_of(before, False), model, tables_of(model).steps, GOAL)
-    rows = 2 * space.headings
+    lattice = build_lattice(before, terrain_of(before, False), model, tables_of(model).steps, GOAL)
+    rows = 2 * lattice.headings
     # One node of eleven away from the rim, which all headings and sides are among.
-    up, across = np.meshgrid(np.arange(6, space.rows - 6), np.arange(6, space.cols - 6))
-    nodes = ((up * space.cols + across).reshape(-1, 1) * rows + np.arange(rows)).reshape(-1)[::11]
+    up, across = np.meshgrid(np.arange(6, lattice.rows - 6), np.arange(6, lattice.cols - 6))
+    nodes = ((up * lattice.cols + across).reshape(-1, 1) * rows + np.arange(rows)).reshape(-1)[::11]
     old_um, old_ends = steps_over(before, model, nodes)
     new_um, new_ends = steps_over(after, model, nodes)
-    change = change_between(space, terrain_of(before, False), terrain_of(after, False))
+    change = change_between(lattice, terrain_of(before, False), terrain_of(after, False))
     assert change is not None
     here = nodes // rows
-    there = (nodes[:, None] + space.steps[nodes % rows, :, D_NODE]) // rows
+    there = (nodes[:, None] + lattice.steps[nodes % rows, :, D_NODE]) // rows
     dearer = (old_um >= 0) & ((new_um < 0) | (new_um > old_um))
     cheaper = (new_um >= 0) & ((old_um < 0) | (old_um > new_um))
     for steps, found in ((dearer, change.shut), (cheaper, change.freed)):
@@ -74,4 +74,4 @@ def test_only_steps_with_feet_near_to_a_change_see_it(resolution_m, model):
     assert lost.any()
     assert np.isin(here[lost], change.shut).all()
     # It is not all that is called near.
-    assert len(change.shut) + len(change.freed) < 0.5 * space.cols * space.rows
+    assert len(change.shut) + len(change.freed) < 0.5 * lattice.cols * lattice.rows

@@ -27,20 +27,20 @@ def test_only_fine_cells_have_a_coarse_lattice_and_its_cells_hold_whole_numbers_
 
 def test_a_node_of_the_coarse_lattice_is_the_same_foot_on_the_fine_one():
     planner = Planner(GRID, FINE)
-    fine = planner._toward_goal(GOAL)
+    fine = planner._context_of(GOAL)
     assert fine.coarse is not None
-    coarse = fine.coarse.space
+    coarse = fine.coarse.lattice
     rows = 2 * coarse.headings
     nodes = np.arange(coarse.nodes)
     inside = np.abs(nodes // rows % coarse.cols - coarse.origin_col) < 10
     inside &= np.abs(nodes // rows // coarse.cols - coarse.origin_row) < 10
     nodes = np.random.default_rng(0).choice(nodes[inside], 200)
-    for node, moved in zip(nodes, on_fine(coarse, fine.space, nodes), strict=True):
+    for node, moved in zip(nodes, on_fine(coarse, fine.lattice, nodes), strict=True):
         poses = []
-        for space, number in ((coarse, node), (fine.space, moved)):
-            row, cell = number % (2 * space.headings), number // (2 * space.headings)
-            x_m = (cell % space.cols - space.origin_col) * space.cell_m
-            y_m = (cell // space.cols - space.origin_row) * space.cell_m
+        for lattice, number in ((coarse, node), (fine.lattice, moved)):
+            row, cell = number % (2 * lattice.headings), number // (2 * lattice.headings)
+            x_m = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
+            y_m = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m
             poses.append((row, round(x_m, 9), round(y_m, 9)))
         assert poses[0] == poses[1]
 

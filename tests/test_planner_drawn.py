@@ -21,8 +21,8 @@ def toward_on(grid, model, start, goal):
     """What a planner knows after one plan."""
     planner = Planner(grid, model)
     planner.plan(start=start, goal=goal)
-    assert planner._toward is not None
-    return planner._toward[1]
+    assert planner._context is not None
+    return planner._context[1]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -32,18 +32,18 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
     cells = np.array(grid.cells)
     scatter(rng, cells, 12, 20)
     cells[3:17, 3:17] = cells[73:87, 73:87] = Cell.FREE
-    toward = toward_on(grid.with_cells(cells), fine_model(), (0.5, 0.5, 0.0), (4.0, 4.0, 0.0))
-    space, guide = toward.space, toward.tables.potential
-    goal = np.array([space.origin_row * space.cols + space.origin_col])
-    everywhere = spread_from(space, guide, goal, np.array([0]))
+    context = toward_on(grid.with_cells(cells), fine_model(), (0.5, 0.5, 0.0), (4.0, 4.0, 0.0))
+    lattice, potential = context.lattice, context.tables.potential
+    goal = np.array([lattice.origin_row * lattice.cols + lattice.origin_col])
+    everywhere = spread_from(lattice, potential, goal, np.array([0]))
     free = np.flatnonzero(everywhere.cost_um > 0)
     lower = 0
     for _ in range(6):
         seeds, middle = rng.choice(free, 3), rng.choice(free)
-        wanted = np.intersect1d(free, middle + np.array([-2, 0, 2, 2 * space.cols]))
+        wanted = np.intersect1d(free, middle + np.array([-2, 0, 2, 2 * lattice.cols]))
         costs_um = rng.integers(0, 300_000, 3)
-        exact = spread_from(space, guide, seeds, costs_um).cost_um[free]
-        drawn_um = draw_path(space, guide, seeds, costs_um, wanted).cost_um
+        exact = spread_from(lattice, potential, seeds, costs_um).cost_um[free]
+        drawn_um = draw_path(lattice, potential, seeds, costs_um, wanted).cost_um
         drawn = drawn_um[free]
         assert drawn.min() > 0
         assert np.all(drawn <= exact)
@@ -51,8 +51,8 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
         nearest = wanted[np.argmin(exact[np.searchsorted(free, wanted)])]
         at = np.searchsorted(free, nearest)
         assert drawn[at] == exact[at]
-        for (col, row), move_um in zip(MOVES, guide.move_um, strict=True):
-            there = drawn_um[free + row * space.cols + col]
+        for (col, row), move_um in zip(MOVES, potential.move_um, strict=True):
+            there = drawn_um[free + row * lattice.cols + col]
             off_um = np.abs(there - drawn)[there > 0]
             assert len(off_um)
             assert off_um.max() <= move_um
@@ -61,11 +61,11 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
 
 def test_where_no_path_leads_there_are_no_costs():
     grid = walled(48, 48, boxes=((0, 22, 48, 26),), resolution_m=0.05)
-    toward = toward_on(grid, fine_model(), (0.5, 1.2, 0.0), (0.6, 0.6, 0.0))
-    space = toward.space
-    row = space.origin_row * space.cols
-    here, beyond = np.array([row + space.origin_col]), np.array([row + space.origin_col + 26])
-    drawn = draw_path(space, toward.tables.potential, here, np.array([0]), beyond)
+    context = toward_on(grid, fine_model(), (0.5, 1.2, 0.0), (0.6, 0.6, 0.0))
+    lattice = context.lattice
+    row = lattice.origin_row * lattice.cols
+    here, beyond = np.array([row + lattice.origin_col]), np.array([row + lattice.origin_col + 26])
+    drawn = draw_path(lattice, context.tables.potential, here, np.array([0]), beyond)
     assert drawn.cost_um[here] == 1
     assert drawn.cost_um[beyond] <= 0
 
@@ -76,18 +76,18 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
     model = small_model()
     request = request_of(grid, model, start, goal)
     nodes, costs_um = first_nodes(request)
-    heuristic = heuristic_on_the_way(request.toward, nodes)
+    heuristic = heuristic_on_the_way(request.context, nodes)
     exact_m = Oracle(grid, model, goal).costs_to_go(start)
     seen = 0
-    for node in range(request.space.nodes):
-        cost_m = exact_m.get(oracle_node(request.space, node))
+    for node in range(request.lattice.nodes):
+        cost_m = exact_m.get(oracle_node(request.lattice, node))
         if cost_m is not None:
             seen += 1
-            assert estimate(request.space, heuristic, node) / 1e6 <= cost_m + 1e-5
+            assert estimate(request.lattice, heuristic, node) / 1e6 <= cost_m + 1e-5
     assert seen == len(exact_m) > 500
     # At the first steps it says what the one over the whole map says.
     least_um = [
-        (costs_um + estimates(request.space, h, nodes)).min()
+        (costs_um + estimates(request.lattice, h, nodes)).min()
         for h in (heuristic, request.heuristic)
     ]
     assert least_um[0] >= 0.95 * least_um[1]
@@ -98,7 +98,7 @@ def test_near_the_goal_the_table_says_what_the_path_does_not():
     request = request_of(grid, model, (1.2, 1.2, 0.0), (1.5, 1.3, 0.0))
     nodes, _ = first_nodes(request)
     drawn_um, exact_um = (
-        estimates(request.space, h, nodes)
-        for h in (heuristic_on_the_way(request.toward, nodes), request.heuristic)
+        estimates(request.lattice, h, nodes)
+        for h in (heuristic_on_the_way(request.context, nodes), request.heuristic)
     )
     np.testing.assert_array_equal(drawn_um, exact_um)

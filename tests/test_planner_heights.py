@@ -149,19 +149,19 @@ def test_the_floods_meet_just_where_there_is_a_plan(name):
     grid, start, goal = CASES[name]
     planner = Planner(grid, CLIMBER)
     plan = planner.plan(start=start, goal=goal)
-    assert planner._toward is not None
-    space, oracle = planner._toward[1].space, Oracle(grid, CLIMBER, goal)
+    assert planner._context is not None
+    lattice, oracle = planner._context[1].lattice, Oracle(grid, CLIMBER, goal)
 
     def number(node):
         col, row, heading, side = node
-        cell = (row + space.origin_row) * space.cols + col + space.origin_col
-        return (cell * space.headings + heading) * 2 + side
+        cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
+        return (cell * lattice.headings + heading) * 2 + side
 
     seeds = np.array([number(node) for _, node in oracle.first_steps(start)], np.int64)
     goals = np.array([number((0, 0, 0, side)) for side in (0, 1)])
-    flood, verdict = new_flood(space, seeds, goals), Verdict.OPEN
+    flood, verdict = new_flood(lattice, seeds, goals), Verdict.OPEN
     while verdict is Verdict.OPEN:
-        flood, verdict = spread(space, flood, 7)
+        flood, verdict = spread(lattice, flood, 7)
     assert (verdict is Verdict.MET) == plan.found
 
 

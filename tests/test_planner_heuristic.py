@@ -25,12 +25,12 @@ def test_the_heuristic_is_never_above_the_exact_cost(name):
     model = small_model()
     planner = Planner(grid, model)
     assert planner.plan(start=start, goal=goal).found
-    assert planner._toward is not None
-    space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
+    assert planner._context is not None
+    lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
-    estimates = {node: estimated_m(space, heuristic, node) for node in exact}
+    estimates = {node: estimated_m(lattice, heuristic, node) for node in exact}
     tight = 0
     for node, cost_m in exact.items():
         assert estimates[node] <= cost_m + 1e-5
@@ -46,27 +46,27 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
     model = small_model()
     planner = Planner(grid, model)
     tables = planner._tables
-    endgame = replace(
-        tables.endgame,
-        cost_um=np.full_like(tables.endgame.cost_um, 0),
+    goal_table = replace(
+        tables.goal_table,
+        cost_um=np.full_like(tables.goal_table.cost_um, 0),
         cap_um=0,
         ring=np.zeros((0, 3), np.int64),
     )
     # Nor the bound that looks to the rim of a circle.
     exits = replace(tables.exits, radius_cells=10**6)
-    planner._tables = tables._replace(endgame=endgame, exits=exits)
+    planner._tables = tables._replace(goal_table=goal_table, exits=exits)
     planner.plan(start=start, goal=goal)
-    assert planner._toward is not None
-    space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
+    assert planner._context is not None
+    lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
     detours = []
     for node, cost_m in exact.items():
-        estimate = estimated_m(space, heuristic, node)
+        estimate = estimated_m(lattice, heuristic, node)
         assert estimate <= cost_m + 1e-5
         for step, to in oracle.edges(node):
-            assert estimate <= step + estimated_m(space, heuristic, to) + 1e-5
+            assert estimate <= step + estimated_m(lattice, heuristic, to) + 1e-5
         straight_m = math.hypot(node[0], node[1]) * model.cell_m
         detours.append(estimate - tables.potential.rate * straight_m)
     # Left of the wall the way around its end costs that much more than straight through it.
@@ -82,19 +82,22 @@ def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuris
     options = PlannerOptions(heuristic=heuristic, goal_reach_m=reach_m)
     planner = Planner(grid, model, options)
     assert planner.plan(start=start, goal=goal).found
-    assert planner._toward is not None
-    toward = planner._toward[1]
+    assert planner._context is not None
+    context = planner._context[1]
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
-    ends = {oracle_node(toward.space, int(node)) for node in toward.ends}
+    ends = {oracle_node(context.lattice, int(node)) for node in context.ends}
     assert len(ends) == 2 if reach_m == 0 else len(ends) > 2
-    values_m = {node: estimated_m(toward.space, toward.heuristic, node) for node in exact}
+    values_m = {node: estimated_m(context.lattice, context.heuristic, node) for node in exact}
     for node, cost_m in exact.items():
         # The goal itself is one of the ends.
         assert values_m[node] <= cost_m + 1e-5
         for step_m, to in oracle.edges(node):
-            assert values_m[node] <= step_m + estimated_m(toward.space, toward.heuristic, to) + 1e-5
+            assert (
+                values_m[node]
+                <= step_m + estimated_m(context.lattice, context.heuristic, to) + 1e-5
+            )
     for node in ends & exact.keys():
         assert values_m[node] <= 0.3 + 1e-6
     assert max(values_m.values()) > 1.0
@@ -126,19 +129,19 @@ def test_euclidean_heuristics_by_hand():
     for name, metre_m in (("euclidean", 1.0), ("steps", 1.0 + 0.1 / math.hypot(0.3, 0.1))):
         planner = Planner(grid, small_model(step_cost_m=0.1), PlannerOptions(heuristic=name))
         planner.plan(start=start, goal=goal)
-        assert planner._toward is not None
-        space, heuristic = planner._toward[1].space, planner._toward[1].heuristic
+        assert planner._context is not None
+        lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
         # The last step costs the stance width of 0.2 m and 0.1 m as every step does.
-        far_m = estimated_m(space, heuristic, (-6, 0, 0, 0))
+        far_m = estimated_m(lattice, heuristic, (-6, 0, 0, 0))
         assert far_m == pytest.approx(0.3 + 0.6 * metre_m, abs=1e-5)
-        diagonal_m = estimated_m(space, heuristic, (3, -4, 0, 1))
+        diagonal_m = estimated_m(lattice, heuristic, (3, -4, 0, 1))
         assert diagonal_m == pytest.approx(0.3 + 0.5 * metre_m, abs=1e-5)
 
 
-def estimated_m(space, heuristic, node):
+def estimated_m(lattice, heuristic, node):
     col, row, heading, side = node
-    cell = (row + space.origin_row) * space.cols + col + space.origin_col
-    return estimate(space, heuristic, (cell * space.headings + heading) * 2 + side) / 1e6
+    cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
+    return estimate(lattice, heuristic, (cell * lattice.headings + heading) * 2 + side) / 1e6
 
 
 @pytest.mark.parametrize("further_um", [None, 0, 500_000])
@@ -150,14 +153,14 @@ def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name, furt
     request = request_of(grid, model, start, goal)
     nodes, costs_um = first_nodes(request)
     heuristic = heuristic_toward_start(request, nodes, costs_um, further_um)
-    known = {oracle_node(request.space, int(node)) for node in nodes}
+    known = {oracle_node(request.lattice, int(node)) for node in nodes}
     # The search keeps the feet a little farther apart in the first step than the oracle does.
     cost_m = oracle.costs_from(
         [(m, node) for m, node in oracle.first_steps(start) if node in known]
     )
     assert len(cost_m) > 500
     for node, exact_m in cost_m.items():
-        assert estimated_m(request.space, heuristic, node) <= exact_m + 1e-5
+        assert estimated_m(request.lattice, heuristic, node) <= exact_m + 1e-5
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -175,10 +178,10 @@ def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
 def request_of(grid, model, start, goal):
     planner = Planner(grid, model)
     planner.plan(start=start, goal=goal)
-    assert planner._toward is not None
+    assert planner._context is not None
     feet = feet_at(start, model.stance_width_m)
     return Request(
-        toward=planner._toward[1],
+        context=planner._context[1],
         feet_lattice=_to_lattice(feet, goal),
         feet_m=np.zeros(2),
         stands=False,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import planner
-from planner.compiled import allocating, lean
+from planner.compiled import njit_arrays, njit_no_refcount
 
 FOLDER = Path(planner.__file__).parent
-# What lean functions may give back: numbers, and tuples of numbers.
+# What njit_no_refcount functions may give back: numbers, and tuples of numbers.
 PLAIN = {"None", "bool", "int", "float", "tuple", "_Box"}
 
 
@@ -43,9 +43,9 @@ def names_in(node: ast.AST) -> set[str]:
 
 
 def test_lean_functions_neither_give_back_arrays_nor_take_any_from_others():
-    functions = compiled_functions("lean")
+    functions = compiled_functions("njit_no_refcount")
     assert len(functions) > 50
-    giving = {f.name for f in compiled_functions("allocating") if not is_plain(f)}
+    giving = {f.name for f in compiled_functions("njit_arrays") if not is_plain(f)}
     assert "new_work" in giving
     for function in functions:
         assert is_plain(function), function.name
@@ -58,20 +58,20 @@ def test_every_loop_is_compiled_by_one_of_the_two():
         for path in FOLDER.rglob("*.py")
         if "from numba" in path.read_text(encoding="utf-8")
     ]
-    assert users == ["jit.py"]
+    assert users == ["compiled.py"]
 
 
-@lean
+@njit_no_refcount
 def _makes_an_array(count: int) -> int:
     return len(np.empty(count))
 
 
-@allocating
+@njit_arrays
 def _makes_one_too(count: int) -> int:
     return len(np.empty(count))
 
 
-@lean
+@njit_no_refcount
 def _calls_one_that_does(count: int) -> int:
     return _makes_one_too(count) + 1
 

@@ -57,23 +57,23 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
         planner = Planner(grid, model)
         planner.plan(start=start, goal=goal)
-        if planner._toward is None:
+        if planner._context is None:
             continue  # the start or the goal itself is blocked
-        space = planner._toward[1].space
+        lattice = planner._context[1].lattice
         oracle = Oracle(grid, model, goal)
 
-        def number(node, space=space):
+        def number(node, lattice=lattice):
             col, row, heading, side = node
-            cell = (row + space.origin_row) * space.cols + col + space.origin_col
-            return (cell * space.headings + heading) * 2 + side
+            cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
+            return (cell * lattice.headings + heading) * 2 + side
 
         seeds = np.array([number(node) for _, node in oracle.first_steps(start)], np.int64)
         if not len(seeds):
             continue
         goals = np.array([number((0, 0, 0, side)) for side in (0, 1)])
-        flood, verdict = new_flood(space, seeds, goals), Verdict.OPEN
+        flood, verdict = new_flood(lattice, seeds, goals), Verdict.OPEN
         while verdict is Verdict.OPEN:
-            flood, verdict = spread(space, flood, 7)
+            flood, verdict = spread(lattice, flood, 7)
         assert (verdict is Verdict.MET) == math.isfinite(oracle.best_cost(start))
         compared += 1
 

@@ -4,14 +4,14 @@ import numpy as np
 
 from planner.collision import terrain_of
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.lattice import build_space
+from planner.lattice.lattice import build_lattice
 from planner.search.best_first import places_of, takes_place
 from tests.planner_floor import FLOOR
 from tests.planner_oracle import small_model
 
 MODEL = small_model()
 TERRAIN = terrain_of(FLOOR, False)
-SPACE = build_space(FLOOR, TERRAIN, MODEL, tables_of(MODEL).steps, (2.0, 1.5, 0.3))
+SPACE = build_lattice(FLOOR, TERRAIN, MODEL, tables_of(MODEL).steps, (2.0, 1.5, 0.3))
 
 
 def node_at(col, row, heading, side):

@@ -49,7 +49,7 @@ def test_the_cost_of_a_chain_is_that_of_the_search():
         start, goal = rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (2, 3))
         planner = Planner(grid, model, LATTICE)
         plan = planner.plan(start=start, goal=goal)
-        if not plan.found or not len(plan) or planner._toward is None:
+        if not plan.found or not len(plan) or planner._context is None:
             continue
         rules, poses, outward = chain_of(planner, plan)
         assert chain_cost_um(rules, poses, outward) == pytest.approx(plan.cost_m * 1e6, abs=2)
@@ -63,7 +63,7 @@ def chain_of(planner, plan):
     """Rules of a planner's space, and a plan as a chain on a map whose origin is 0."""
     feet = plan.start_feet_world[:, [0, 1, 3]].copy()
     rules = build_rules(
-        planner._toward[1].space,
+        planner._context[1].lattice,
         planner.robot_model,
         feet,
         np.zeros(2, np.int64),
@@ -82,13 +82,13 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     assert plan.found
     rules, chain, first = chain_of(planner, plan)
-    space = rules.space
+    lattice = rules.lattice
     seen = 0
     for _ in range(10):
         poses = chain + rng.uniform(-0.02, 0.02, chain.shape)
         i = int(rng.integers(1, len(poses) - 3))
         outward = first * (-1) ** i
-        work = new_work(space, len(poses) - 1, len(rules.reach))
+        work = new_work(lattice, len(poses) - 1, len(rules.reach))
         note_rules(rules, work, poses, first)
         value, slope, active = work.value[i].copy(), work.slope[i].copy(), work.active[i].copy()
         work.block[:] = 0.0
@@ -158,9 +158,9 @@ def test_the_gap_between_feet_is_that_of_the_lattice():
 def test_the_banded_system_is_solved_as_a_dense_one():
     planner = Planner(FLOOR, small_model(), LATTICE)
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
-    assert planner._toward is not None
+    assert planner._context is not None
     rng = np.random.default_rng(1)
-    work = new_work(planner._toward[1].space, len(plan), 0)
+    work = new_work(planner._context[1].lattice, len(plan), 0)
     size = len(work.right)
     dense, right = np.eye(size), np.zeros(size)
     work.matrix[:, 0] = 1.0
@@ -184,11 +184,11 @@ def test_height_under_a_foot_is_that_of_its_tread_or_none():
     grid = OccupancyGrid(cells=np.zeros((20, 20), np.uint8), resolution_m=0.1, elevation_m=heights)
     planner = Planner(grid, small_model(), LATTICE)
     planner.plan(start=(0.4, 0.5, 0.0), goal=(0.5, 1.2, 0.0))
-    assert planner._toward is not None
-    space = planner._toward[1].space
+    assert planner._context is not None
+    lattice = planner._context[1].lattice
     # The foot is 0.2 m long and wants 0.02 m of level ground around it; the edge is at x = 1.
-    assert foot_height_um(space, np.array([0.87, 1.0, 0.0])) == 0
-    assert foot_height_um(space, np.array([1.13, 1.0, 0.0])) == 100_000
-    assert foot_height_um(space, np.array([0.93, 1.0, 0.0])) < -1_000_000
-    assert foot_height_um(space, np.array([0.93, 1.0, math.pi / 2])) < -1_000_000
-    assert foot_height_um(space, np.array([0.92, 1.0, math.pi / 2])) == 0
+    assert foot_height_um(lattice, np.array([0.87, 1.0, 0.0])) == 0
+    assert foot_height_um(lattice, np.array([1.13, 1.0, 0.0])) == 100_000
+    assert foot_height_um(lattice, np.array([0.93, 1.0, 0.0])) < -1_000_000
+    assert foot_height_um(lattice, np.array([0.93, 1.0, math.pi / 2])) < -1_000_000
+    assert foot_height_um(lattice, np.array([0.92, 1.0, math.pi / 2])) == 0

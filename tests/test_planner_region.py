@@ -98,16 +98,16 @@ def test_the_heuristic_toward_a_region_is_admissible_and_consistent(name):
     model = small_model()
     planner = Planner(grid, model, within(REACH))
     assert planner.plan(start=start, goal=goal).found
-    assert planner._toward is not None
-    toward = planner._toward[1]
-    space, heuristic, oracle = toward.space, toward.heuristic, Oracle(grid, model, goal)
-    rows = 2 * space.headings
+    assert planner._context is not None
+    context = planner._context[1]
+    lattice, heuristic, oracle = context.lattice, context.heuristic, Oracle(grid, model, goal)
+    rows = 2 * lattice.headings
 
     def estimated_m(node):
-        cell = (node[1] + space.origin_row) * space.cols + node[0] + space.origin_col
-        return estimate(space, heuristic, cell * rows + node[2] * 2 + node[3]) / 1e6
+        cell = (node[1] + lattice.origin_row) * lattice.cols + node[0] + lattice.origin_col
+        return estimate(lattice, heuristic, cell * rows + node[2] * 2 + node[3]) / 1e6
 
-    ends = {oracle_node(space, int(node)) for node in toward.ends}
+    ends = {oracle_node(lattice, int(node)) for node in context.ends}
     known = oracle.costs_from(oracle.first_steps(start))
     assert {node for node in known if is_end(oracle, node, REACH)} <= ends
     last_m = model.stance_width_m + model.step_cost_m

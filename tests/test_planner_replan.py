@@ -111,17 +111,17 @@ def test_what_is_kept_of_a_tree_is_what_the_changed_map_allows(seed):
         planner.plan(start=(0.55, 0.6, 0.3), goal=goal)
         grid = changed(grid, rng, (0.5, 0.5, 0.0), rng.random() < 0.5)
         planner.take_map(grid)
-        assert planner._toward is not None
-        toward = planner._toward[1]
-        tree = toward.memory["adstar"].tree
-        slots = slots_of(tree.slots, np.arange(toward.space.nodes))
+        assert planner._context is not None
+        context = planner._context[1]
+        tree = context.memory["adstar"].tree
+        slots = slots_of(tree.slots, np.arange(context.lattice.nodes))
         cost_um, came_from = tree.cost_um[slots], tree.before[slots]
         known = np.flatnonzero(cost_um)
         kept += len(known)
         for node in known:
             before = int(came_from[node])
             if before != FROM_START:
-                step = step_um(toward.space, tree, before, int(node))
+                step = step_um(context.lattice, tree, before, int(node))
                 assert step > 0
                 assert cost_um[node] >= cost_um[before] + step
     assert kept > 500

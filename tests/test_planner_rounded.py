@@ -32,12 +32,12 @@ FAR_UM = 100_000_000
 
 def all_costs(request, spacing_m, limit_um=FAR_UM, start_um=None):
     """The bound toward the goal, of all plans unless a limit and costs from a start are given."""
-    model, tables, space = request.model, request.toward.tables, request.space
+    model, tables, lattice = request.model, request.context.tables, request.lattice
     steps = rounded_steps(model, tables.steps, tables.potential, spacing_m)
     if start_um is None:
-        start_um = np.zeros(space.cols * space.rows, np.int32)
+        start_um = np.zeros(lattice.cols * lattice.rows, np.int32)
     rounded = rounded_costs(
-        space, model, steps, spacing_m, request.toward.ends, start_um, limit_um, lambda: True
+        lattice, model, steps, spacing_m, request.context.ends, start_um, limit_um, lambda: True
     )
     assert rounded is not None
     return rounded
@@ -125,7 +125,7 @@ def test_no_bound_is_too_high_for_plans_below_the_limit_on_random_floors(seed):
     start, goal = (0.4, 0.5, rng.uniform(-3, 3)), (1.9, 1.9, rng.uniform(-3, 3))
     oracle, request = Oracle(grid, model, goal), request_of(grid, model, start, goal)
     nodes, costs_um = first_nodes(request)
-    known = {oracle_node(request.space, int(node)) for node in nodes}
+    known = {oracle_node(request.lattice, int(node)) for node in nodes}
     firsts = [(m, node) for m, node in oracle.first_steps(start) if node in known]
     from_m, to_m = oracle.costs_from(firsts), oracle.costs_to_go(start)
     limit_m = 1.2 * min(from_m[node] + to_m[node] for node in from_m.keys() & to_m.keys())

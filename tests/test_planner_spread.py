@@ -19,14 +19,14 @@ from planner.heuristics.wavefront import (
     moves_of,
     spread_costs,
 )
-from planner.lattice.lattice import build_space
+from planner.lattice.lattice import build_lattice
 from tests.planner_floor import blocked_at
 from tests.planner_oracle import small_model
 
 MODEL = small_model()
 TABLES = tables_of(MODEL)
 GRID = blocked_at((0, 12, 20, 14), (12, 24, 30, 26), (24, 5, 26, 12))
-SPACE = build_space(GRID, terrain_of(GRID, False), MODEL, TABLES.steps, (0.6, 0.6, 0.2))
+SPACE = build_lattice(GRID, terrain_of(GRID, False), MODEL, TABLES.steps, (0.6, 0.6, 0.2))
 MOVES = moves_of(TABLES.potential)
 GOAL = SPACE.origin_row * SPACE.cols + SPACE.origin_col
 SIZE = SPACE.cols * SPACE.rows

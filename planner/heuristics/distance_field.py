@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import lean
-from planner.heuristics.goal_table import Endgame
+from planner.compiled import njit_no_refcount
+from planner.heuristics.goal_table import GoalTable
 from planner.heuristics.potential import Potential
 from planner.heuristics.wavefront import (
     EVERYWHERE,
@@ -23,7 +23,7 @@ from planner.heuristics.wavefront import (
     moves_of,
     spread_costs,
 )
-from planner.lattice.lattice import Int64s, Space
+from planner.lattice.lattice import Int64s, Lattice
 
 _LARGE = 1 / 8
 MARGIN_MOVES = 8  # with these there is room for steps
@@ -70,36 +70,36 @@ class Strip(NamedTuple):
 
 
 def path_toward(
-    space: Space, guide: Potential, cells: Int64s, *, margin_moves: int = MARGIN_MOVES
+    lattice: Lattice, potential: Potential, cells: Int64s, *, margin_moves: int = MARGIN_MOVES
 ) -> Strip:
     """Path costs from the goal in the strip of cells through which A* looks for the cells (n,).
 
     margin_moves: by how many moves the paths through the strip may be longer than need be.
     """
-    ahead = ahead_of(space, guide, cells)
+    ahead = ahead_of(lattice, potential, cells)
     beyond_um = ahead.slack_um + margin_moves * ahead.level_um
-    cost_um = np.zeros(space.cols * space.rows, np.int32)
-    seeds = np.array([space.origin_row * space.cols + space.origin_col]), np.array([0])
-    moves = moves_of(guide)
-    settled_um = spread_costs(space, cost_um, *seeds, moves, cells, beyond_um, EVERYWHERE, ahead)
-    return Strip(cost_um, settled_um, space.cols, ahead)
+    cost_um = np.zeros(lattice.cols * lattice.rows, np.int32)
+    seeds = np.array([lattice.origin_row * lattice.cols + lattice.origin_col]), np.array([0])
+    moves = moves_of(potential)
+    settled_um = spread_costs(lattice, cost_um, *seeds, moves, cells, beyond_um, EVERYWHERE, ahead)
+    return Strip(cost_um, settled_um, lattice.cols, ahead)
 
 
-def leads_to_goal(space: Space, guide: Potential, cells: Int64s) -> bool:
+def leads_to_goal(lattice: Lattice, potential: Potential, cells: Int64s) -> bool:
     """Whether a path leads from one of the cells (n,) to the goal, looked for from the cells.
 
     Where obstacles enclose them that is known at once, however large the rest of the map is.
     """
-    goal = np.array([space.origin_row * space.cols + space.origin_col])
-    cost_um, none_um = np.zeros(space.cols * space.rows, np.int32), np.zeros_like(cells)
-    ahead = ahead_of(space, guide, goal)
-    spread_costs(space, cost_um, cells, none_um, moves_of(guide), goal, 0, EVERYWHERE, ahead)
+    goal = np.array([lattice.origin_row * lattice.cols + lattice.origin_col])
+    cost_um, none_um = np.zeros(lattice.cols * lattice.rows, np.int32), np.zeros_like(cells)
+    ahead = ahead_of(lattice, potential, goal)
+    spread_costs(lattice, cost_um, cells, none_um, moves_of(potential), goal, 0, EVERYWHERE, ahead)
     return bool(cost_um[goal[0]] > 0)
 
 
-@lean
+@njit_no_refcount
 def raise_by_arrival(
-    space: Space,
+    lattice: Lattice,
     cost_um: NDArray[np.int32],
     start: int,
     ahead: Ahead,
@@ -114,15 +114,15 @@ def raise_by_arrival(
     start, which is also what is returned.
     """
     far_um = 0
-    cols, reach = space.cols, len(inside) // 2
+    cols, reach = lattice.cols, len(inside) // 2
     cell = start
     while cell >= 0:
         row, col = cell // cols, cell % cols
         if _is_straight(row, col, cost_um[cell], ahead, inside):
             far_um = arrive_um[row - ahead.row + reach, col - ahead.col + reach]
             break
-        cell = _downhill(space, cost_um, cell)
-    for row in range(space.rows):
+        cell = _downhill(lattice, cost_um, cell)
+    for row in range(lattice.rows):
         for col in range(cols):
             path_um = cost_um[row * cols + col]
             if path_um <= 0:
@@ -135,7 +135,7 @@ def raise_by_arrival(
     return far_um
 
 
-@lean
+@njit_no_refcount
 def _is_straight(row: int, col: int, path_um: int, ahead: Ahead, inside: NDArray[np.bool_]) -> bool:
     """Whether a cell's path to the goal is straight and within the ring of the endgame."""
     reach = len(inside) // 2
@@ -145,32 +145,32 @@ def _is_straight(row: int, col: int, path_um: int, ahead: Ahead, inside: NDArray
     return path_um - 1 <= ahead_um(ahead, col, row)
 
 
-@lean
-def _downhill(space: Space, cost_um: NDArray[np.int32], cell: int) -> int:
+@njit_no_refcount
+def _downhill(lattice: Lattice, cost_um: NDArray[np.int32], cell: int) -> int:
     """The cheapest cell two around; -1 where none is cheaper."""
     best = cell
     for row in range(-2, 3):
         for col in range(-2, 3):
-            near = cell + row * space.cols + col
+            near = cell + row * lattice.cols + col
             if 0 < cost_um[near] < cost_um[best]:
                 best = near
     return best if best != cell else -1
 
 
-def search_body_path(space: Space, guide: Potential, endgame: Endgame) -> BodyPath:
+def search_body_path(lattice: Lattice, potential: Potential, goal_table: GoalTable) -> BodyPath:
     """Path costs of the body's cells to the goal, over the whole map.
 
     The larger of two bounds: the cost of the path to the goal's cell, and outside the ring of the
     endgame the least cost of a path to a cell of the ring plus what is exact from there.
     """
-    goal = space.origin_row * space.cols + space.origin_col
-    cost_um = _spread_everywhere(space, guide, np.array([goal]), np.array([0]))
-    cells, costs_um = ring_on_map(space, endgame)
+    goal = lattice.origin_row * lattice.cols + lattice.origin_col
+    cost_um = _spread_everywhere(lattice, potential, np.array([goal]), np.array([0]))
+    cells, costs_um = ring_on_map(lattice, goal_table)
     if len(cells):
         # Cells that are shut are known by now.
         shut_um = np.where(cost_um == SHUT_CELL, cost_um, np.int32(0))
-        ring_um = _spread_everywhere(space, guide, cells, costs_um, shut_um)
-        _raise_outside(space, cost_um, ring_um, endgame.inside)
+        ring_um = _spread_everywhere(lattice, potential, cells, costs_um, shut_um)
+        _raise_outside(lattice, cost_um, ring_um, goal_table.inside)
     return BodyPath(cost_um, NOWHERE_UM)
 
 
@@ -182,46 +182,48 @@ def least_in_cells(cells: Int64s, values_um: Int64s) -> tuple[Int64s, Int64s]:
     return once, least_um
 
 
-def spread_from(space: Space, guide: Potential, cells: Int64s, costs_um: Int64s) -> BodyPath:
+def spread_from(
+    lattice: Lattice, potential: Potential, cells: Int64s, costs_um: Int64s
+) -> BodyPath:
     """Path costs of the body's cells from any of the cells (n,), each with its own cost."""
-    return BodyPath(_spread_everywhere(space, guide, cells, costs_um), NOWHERE_UM)
+    return BodyPath(_spread_everywhere(lattice, potential, cells, costs_um), NOWHERE_UM)
 
 
 def _spread_everywhere(
-    space: Space,
-    guide: Potential,
+    lattice: Lattice,
+    potential: Potential,
     cells: Int64s,
     costs_um: Int64s,
     shut_um: NDArray[np.int32] | None = None,
 ) -> NDArray[np.int32]:
     """Path costs (rows * cols,) from cells (n,), in the array given, where shut cells are known."""
-    cost_um = np.zeros(space.cols * space.rows, np.int32) if shut_um is None else shut_um
-    moves = moves_of(guide)
-    spread_costs(space, cost_um, cells, costs_um, moves, NO_CELLS, 0, EVERYWHERE, NOT_DRAWN)
+    cost_um = np.zeros(lattice.cols * lattice.rows, np.int32) if shut_um is None else shut_um
+    moves = moves_of(potential)
+    spread_costs(lattice, cost_um, cells, costs_um, moves, NO_CELLS, 0, EVERYWHERE, NOT_DRAWN)
     return cost_um
 
 
-def ring_on_map(space: Space, endgame: Endgame) -> tuple[Int64s, Int64s]:
+def ring_on_map(lattice: Lattice, goal_table: GoalTable) -> tuple[Int64s, Int64s]:
     """Cells (n,) of the endgame's ring that lie on the lattice, and their costs."""
-    col = endgame.ring[:, 0] + space.origin_col
-    row = endgame.ring[:, 1] + space.origin_row
-    on_map = (col >= 0) & (row >= 0) & (col < space.cols) & (row < space.rows)
-    return (row * space.cols + col)[on_map], endgame.ring[on_map, 2]
+    col = goal_table.ring[:, 0] + lattice.origin_col
+    row = goal_table.ring[:, 1] + lattice.origin_row
+    on_map = (col >= 0) & (row >= 0) & (col < lattice.cols) & (row < lattice.rows)
+    return (row * lattice.cols + col)[on_map], goal_table.ring[on_map, 2]
 
 
-@lean
+@njit_no_refcount
 def _raise_outside(
-    space: Space,
+    lattice: Lattice,
     cost_um: NDArray[np.int32],
     ring_um: NDArray[np.int32],
     inside: NDArray[np.bool_],
 ) -> None:
     """Raises costs outside the ring to those by way of the ring."""
     reach = len(inside) // 2
-    for row in range(space.rows):
-        up = row - space.origin_row + reach
-        for col in range(space.cols):
-            cell, across = row * space.cols + col, col - space.origin_col + reach
+    for row in range(lattice.rows):
+        up = row - lattice.origin_row + reach
+        for col in range(lattice.cols):
+            cell, across = row * lattice.cols + col, col - lattice.origin_col + reach
             if 0 <= up <= 2 * reach and 0 <= across <= 2 * reach and inside[up, across]:
                 continue
             if cost_um[cell] > 0:
@@ -240,8 +242,8 @@ FURTHER_UM = 500_000
 
 
 def draw_path(
-    space: Space,
-    guide: Potential,
+    lattice: Lattice,
+    potential: Potential,
     cells: Int64s,
     costs_um: Int64s,
     wanted: Int64s,
@@ -252,20 +254,20 @@ def draw_path(
     Exact where paths pass that lead to one of the wanted cells (k,) for further_um more than the
     cheapest; elsewhere they may be too low. Nowhere if no wanted cell can be reached.
     """
-    ahead = ahead_of(space, guide, wanted)
-    cost_um = np.zeros(space.cols * space.rows, np.int32)
+    ahead = ahead_of(lattice, potential, wanted)
+    cost_um = np.zeros(lattice.cols * lattice.rows, np.int32)
     # The way to the last of what is wanted may be longer than to the first by twice the slack.
-    beyond_um = 2 * ahead.slack_um + further_um + int(guide.move_um.max())
-    moves = moves_of(guide)
+    beyond_um = 2 * ahead.slack_um + further_um + int(potential.move_um.max())
+    moves = moves_of(potential)
     settled_um = spread_costs(
-        space, cost_um, cells, costs_um, moves, wanted, beyond_um, EVERYWHERE, ahead
+        lattice, cost_um, cells, costs_um, moves, wanted, beyond_um, EVERYWHERE, ahead
     )
     if settled_um < NOWHERE_UM:
-        _bound_unsettled(cost_um, space.cols, settled_um, ahead)
+        _bound_unsettled(cost_um, lattice.cols, settled_um, ahead)
     return BodyPath(cost_um, NOWHERE_UM)
 
 
-@lean
+@njit_no_refcount
 def _bound_unsettled(cost_um: NDArray[np.int32], cols: int, settled_um: int, ahead: Ahead) -> None:
     """Puts the bound in place of costs that are not known to be the least."""
     for cell in range(len(cost_um)):

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import lean
+from planner.compiled import njit_no_refcount
 from planner.heuristics.potential import Potential
 from planner.lattice.steps import IntArray, StepTable, final_cost_um, moved_cells
 from planner.robot_model import StepModel
@@ -23,7 +23,7 @@ FAR_UM = 1 << 40
 
 
 @dataclass(frozen=True, kw_only=True)
-class Endgame:
+class GoalTable:
     """Costs near the goal.
 
     cost_um (2 n + 1, 2 n + 1, 2 H) int32: cost to the end of the plan of a foot node at row, col
@@ -39,24 +39,28 @@ class Endgame:
     inside: NDArray[np.bool_]
 
 
-def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endgame:
+def build_goal_table(model: StepModel, table: StepTable, potential: Potential) -> GoalTable:
     """The table of a step model."""
-    cap_um = int(guide.rate * _RADIUS_CELLS * model.cell_m * 1e6)
+    cap_um = int(potential.rate * _RADIUS_CELLS * model.cell_m * 1e6)
     # By the inequality (1) of `guide.py` no state whose cost is below the cap has its body farther.
-    body_cells = max(cap_um - int(guide.potential_um.min()), 0) // int(guide.move_um.min())
-    reach = body_cells + int(max(np.abs(guide.body_col).max(), np.abs(guide.body_row).max())) + 1
+    body_cells = max(cap_um - int(potential.potential_um.min()), 0) // int(potential.move_um.min())
+    reach = (
+        body_cells
+        + int(max(np.abs(potential.body_col).max(), np.abs(potential.body_row).max()))
+        + 1
+    )
     size = 2 * reach + 1
     cost_um = np.full((size, size, 2 * model.headings), cap_um, np.int32)
     _fill(cost_um.reshape(-1), size, backward_steps(table), final_cost_um(model), cap_um)
-    body_um = _body_costs(cost_um, guide)
-    level_um = cap_um - int(guide.potential_um.max()) - 1
+    body_um = _body_costs(cost_um, potential)
+    level_um = cap_um - int(potential.potential_um.max()) - 1
     inside = body_um <= level_um
     # A step moves the body's cell by at most so many cells along either axis.
-    longest = longest_move(table, guide)
+    longest = longest_move(table, potential)
     square = np.ones((2 * longest + 1, 2 * longest + 1), np.uint8)
     near_outside = cv2.dilate((~inside).astype(np.uint8), square) > 0
     row, col = np.nonzero(inside & near_outside)
-    return Endgame(
+    return GoalTable(
         cost_um=cost_um,
         cap_um=cap_um,
         ring=np.column_stack([col - reach, row - reach, body_um[row, col]]).astype(np.int64),
@@ -64,9 +68,9 @@ def build_endgame(model: StepModel, table: StepTable, guide: Potential) -> Endga
     )
 
 
-def longest_move(table: StepTable, guide: Potential) -> int:
+def longest_move(table: StepTable, potential: Potential) -> int:
     """By how many cells along an axis a step moves the body's cell at most."""
-    moved = moved_cells(table, guide.body_col, guide.body_row)
+    moved = moved_cells(table, potential.body_col, potential.body_row)
     return int(np.abs(moved[table.cost_um > 0]).max())
 
 
@@ -89,19 +93,19 @@ def backward_steps(table: StepTable) -> IntArray:
     return steps
 
 
-def _body_costs(cost_um: NDArray[np.int32], guide: Potential) -> IntArray:
+def _body_costs(cost_um: NDArray[np.int32], potential: Potential) -> IntArray:
     """Least cost (size, size) over headings and sides with the body in a cell, less potentials."""
     size = len(cost_um)
     least = np.full((size, size), np.iinfo(np.int32).max, np.int64)
-    body_col, body_row = guide.body_col.reshape(-1), guide.body_row.reshape(-1)
-    potential_um = guide.potential_um.reshape(-1)
+    body_col, body_row = potential.body_col.reshape(-1), potential.body_row.reshape(-1)
+    potential_um = potential.potential_um.reshape(-1)
     for row, (d_col, d_row, p_um) in enumerate(zip(body_col, body_row, potential_um, strict=True)):
         moved = np.roll(cost_um[:, :, row], (int(d_row), int(d_col)), axis=(0, 1))
         least = np.minimum(least, moved.astype(np.int64) - p_um)
     return least
 
 
-@lean
+@njit_no_refcount
 def _fill(
     cost_um: NDArray[np.int32], size: int, steps: IntArray, final_um: int, cap_um: int
 ) -> None:
@@ -135,7 +139,7 @@ def _fill(
                     cost_um[before] = cost
 
 
-@lean
+@njit_no_refcount
 def least_step(steps: IntArray) -> int:
     """Cost of the cheapest step of `backward_steps`."""
     rows, most, _ = steps.shape

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import allocating, lean
+from planner.compiled import njit_arrays, njit_no_refcount
 from planner.heuristics.distance_field import BodyPath, least_in_cells, spread_from
-from planner.heuristics.goal_table import Endgame, build_endgame
+from planner.heuristics.goal_table import GoalTable, build_goal_table
 from planner.heuristics.potential import Potential, build_potential
 from planner.heuristics.rounded_plans import NOT_ROUNDED, Rounded, rounded_bound
 from planner.heuristics.turning import (
@@ -23,7 +23,7 @@ from planner.heuristics.turning import (
     no_detours,
 )
 from planner.heuristics.wavefront import NOWHERE_UM
-from planner.lattice.lattice import Int64s, Region, Space
+from planner.lattice.lattice import Int64s, Lattice, Region
 from planner.lattice.steps import MICRO, StepTable, build_step_table, final_cost_um, moved_cells
 from planner.robot_model import StepModel
 
@@ -48,7 +48,7 @@ class Heuristic(NamedTuple):
 
 
 def of_path(
-    space: Space,
+    lattice: Lattice,
     cost_um: NDArray[np.int32],
     frontier_um: int,
     body_cell: NDArray[np.int64],
@@ -66,22 +66,22 @@ def of_path(
         np.zeros((rows, 1), np.int64),
         np.zeros((1, 1), np.int32),
         np.zeros((0, 4), np.int64),
-        space.cols + space.rows,  # no bound by a rim: all is within the circle
+        lattice.cols + lattice.rows,  # no bound by a rim: all is within the circle
     )
 
 
-@lean
-def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
+@njit_no_refcount
+def estimate(lattice: Lattice, heuristic: Heuristic, node: int) -> int:
     """Cost in micrometres that no way from a node to the end of a plan falls below."""
-    row, cell = node % (2 * space.headings), node // (2 * space.headings)
+    row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
     body = cell + heuristic.body_cell[row]
     path = heuristic.cost_um[body] - 1
     if path < 0 or path > heuristic.frontier_um:
         path = heuristic.frontier_um
     endgame_um = heuristic.endgame_um
     reach = len(endgame_um) // 2
-    col = cell % space.cols - space.origin_col + reach
-    up = cell // space.cols - space.origin_row + reach
+    col = cell % lattice.cols - lattice.origin_col + reach
+    up = cell // lattice.cols - lattice.origin_row + reach
     exact = heuristic.cap_um
     if 0 <= col <= 2 * reach and 0 <= up <= 2 * reach:
         exact = endgame_um[up, col, row]
@@ -91,7 +91,7 @@ def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
         heuristic.cost_um,
         heuristic.frontier_um,
         heuristic.rim,
-        (heuristic.radius_cells, space.cols, space.origin_col, space.origin_row),
+        (heuristic.radius_cells, lattice.cols, lattice.origin_col, lattice.origin_row),
         body,
         row,
     )
@@ -99,12 +99,14 @@ def estimate(space: Space, heuristic: Heuristic, node: int) -> int:
     return max(path + heuristic.potential_um[row], exact, least, near)
 
 
-@allocating
-def estimates(space: Space, heuristic: Heuristic, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+@njit_arrays
+def estimates(
+    lattice: Lattice, heuristic: Heuristic, nodes: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """`estimate` of nodes (n,)."""
     values_um = np.empty(len(nodes), np.int64)
     for i in range(len(nodes)):
-        values_um[i] = estimate(space, heuristic, nodes[i])
+        values_um[i] = estimate(lattice, heuristic, nodes[i])
     return values_um
 
 
@@ -116,7 +118,7 @@ class Tables(NamedTuple):
 
     steps: StepTable
     potential: Potential
-    endgame: Endgame
+    goal_table: GoalTable
     exits: Exits
     facing: Facing
 
@@ -126,16 +128,16 @@ def tables_of(model: StepModel) -> Tables:
     """The tables of a step model; made at the first call, which takes a while."""
     steps = build_step_table(model)
     potential = build_potential(model, steps)
-    endgame = build_endgame(model, steps, potential)
-    facing = build_facing(potential, endgame)
-    return Tables(steps, potential, endgame, build_exits(steps, potential), facing)
+    goal_table = build_goal_table(model, steps, potential)
+    facing = build_facing(potential, goal_table)
+    return Tables(steps, potential, goal_table, build_exits(steps, potential), facing)
 
 
 # The heuristic toward a goal that is a region.
 
 
 def heuristic_toward_region(
-    space: Space,
+    lattice: Lattice,
     model: StepModel,
     tables: Tables,
     body_cell: Int64s,
@@ -153,19 +155,19 @@ def heuristic_toward_region(
     most its largest value at any e.
     """
     final_um = final_cost_um(model)
-    base_um, path = path_to_ends(space, tables, body_cell, ends, final_um)
+    base_um, path = path_to_ends(lattice, tables, body_cell, ends, final_um)
     potential_um = tables.potential.potential_um.reshape(-1)
-    slack_um = _most_exact(space, tables, ends) - final_um
-    endgame, exits = tables.endgame, tables.exits
+    slack_um = _most_exact(lattice, tables, ends) - final_um
+    goal_table, exits = tables.goal_table, tables.exits
     return Heuristic(
         path.cost_um,
         path.frontier_um,
         body_cell,
         base_um + potential_um,
-        np.maximum(endgame.cost_um - np.int32(slack_um), 0),
-        max(endgame.cap_um - slack_um, 0),
+        np.maximum(goal_table.cost_um - np.int32(slack_um), 0),
+        max(goal_table.cap_um - slack_um, 0),
         base_um + exits.turn_um,
-        no_detours(space.cols, space.rows),
+        no_detours(lattice.cols, lattice.rows),
         exits.rim,
         # No end may lie within the circle wherever its bound is used.
         exits.radius_cells + math.ceil(region.reach_m / model.cell_m) + 2,
@@ -173,24 +175,24 @@ def heuristic_toward_region(
 
 
 def path_to_ends(
-    space: Space, tables: Tables, body_cell: Int64s, ends: Int64s, final_um: int
+    lattice: Lattice, tables: Tables, body_cell: Int64s, ends: Int64s, final_um: int
 ) -> tuple[int, BodyPath]:
     """What every end of a plan (n,) adds at least, and the path costs to the nearest end."""
-    potential_um, rows = tables.potential.potential_um.reshape(-1), 2 * space.headings
+    potential_um, rows = tables.potential.potential_um.reshape(-1), 2 * lattice.headings
     value_um = final_um - potential_um[ends % rows]
     cells, least_um = least_in_cells(ends // rows + body_cell[ends % rows], value_um)
     base_um = int(least_um.min())
-    return base_um, spread_from(space, tables.potential, cells, least_um - base_um)
+    return base_um, spread_from(lattice, tables.potential, cells, least_um - base_um)
 
 
-def _most_exact(space: Space, tables: Tables, ends: Int64s) -> int:
+def _most_exact(lattice: Lattice, tables: Tables, ends: Int64s) -> int:
     """What a plan costs at most on the empty map from an end (n,) to the goal's own pose."""
-    endgame, rows = tables.endgame, 2 * space.headings
-    reach = len(endgame.cost_um) // 2
+    goal_table, rows = tables.goal_table, 2 * lattice.headings
+    reach = len(goal_table.cost_um) // 2
     cell = ends // rows
-    col = np.clip(cell % space.cols - space.origin_col + reach, 0, 2 * reach)
-    row = np.clip(cell // space.cols - space.origin_row + reach, 0, 2 * reach)
-    return int(endgame.cost_um[row, col, ends % rows].max())
+    col = np.clip(cell % lattice.cols - lattice.origin_col + reach, 0, 2 * reach)
+    row = np.clip(cell // lattice.cols - lattice.origin_row + reach, 0, 2 * reach)
+    return int(goal_table.cost_um[row, col, ends % rows].max())
 
 
 # The heuristics that footstep planners have long had, which know less: to compare with.
@@ -206,22 +208,22 @@ def _most_exact(space: Space, tables: Tables, ends: Int64s) -> int:
 
 
 def simpler_heuristic(
-    name: str, space: Space, model: StepModel, tables: Tables, body_cell: Int64s, ends: Int64s
+    name: str, lattice: Lattice, model: StepModel, tables: Tables, body_cell: Int64s, ends: Int64s
 ) -> Heuristic:
     """The heuristic of that name toward the ends of a plan, nodes (n,)."""
     if name == "path":
-        base_um, path = path_to_ends(space, tables, body_cell, ends, final_cost_um(model))
+        base_um, path = path_to_ends(lattice, tables, body_cell, ends, final_cost_um(model))
         potential_um = base_um + tables.potential.potential_um.reshape(-1)
-        return of_path(space, path.cost_um, path.frontier_um, body_cell, potential_um)
+        return of_path(lattice, path.cost_um, path.frontier_um, body_cell, potential_um)
     rate = _cost_of_metre(model, tables, counts_steps=name == "steps")
-    rows = 2 * space.headings
-    row, col = np.divmod(np.arange(space.cols * space.rows), space.cols)
-    away_m = np.hypot(col - space.origin_col, row - space.origin_row) * space.cell_m
+    rows = 2 * lattice.headings
+    row, col = np.divmod(np.arange(lattice.cols * lattice.rows), lattice.cols)
+    away_m = np.hypot(col - lattice.origin_col, row - lattice.origin_row) * lattice.cell_m
     # Ends lie around the goal, none farther off than this.
     away_m -= away_m[ends // rows + body_cell[ends % rows]].max()
     cost_um = np.clip(np.floor(away_m * rate * MICRO), 0, NOWHERE_UM - 1).astype(np.int32)
     potential_um = np.full(rows, final_cost_um(model), np.int64)
-    return of_path(space, cost_um + 1, NOWHERE_UM, body_cell, potential_um)
+    return of_path(lattice, cost_um + 1, NOWHERE_UM, body_cell, potential_um)
 
 
 def _cost_of_metre(model: StepModel, tables: Tables, counts_steps: bool) -> float:

@@ -40,10 +40,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import box_free
-from planner.compiled import lean, zeros
+from planner.compiled import njit_no_refcount, zeros
 from planner.heuristics.potential import Potential
 from planner.heuristics.wavefront import NOWHERE_UM
-from planner.lattice.lattice import BLOCKED, FREE, UNKNOWN, Int32s, Int64s, Space, to_grid
+from planner.lattice.lattice import BLOCKED, FREE, UNKNOWN, Int32s, Int64s, Lattice, to_grid
 from planner.lattice.steps import MICRO, StepTable, final_cost_um
 from planner.robot_model import StepModel
 
@@ -75,7 +75,7 @@ class Rounded(NamedTuple):
 NOT_ROUNDED = Rounded(np.zeros(0, np.int32), np.zeros((0, 2)), 0.0, 0, 0, 0, 0)
 
 
-@lean
+@njit_no_refcount
 def rounded_bound(rounded: Rounded, col: int, row: int, state: int) -> int:
     """The bound of the node at col, row from the goal's cell, heading * 2 + side; 0 without any."""
     cost_um, body = rounded.cost_um, rounded.body
@@ -103,7 +103,9 @@ def body_points(model: StepModel) -> FloatArray:
     return np.column_stack([-np.sin(yaw_rad) * inward_m, (np.cos(yaw_rad) - 1.0) * inward_m])
 
 
-def rounded_steps(model: StepModel, table: StepTable, guide: Potential, spacing_m: float) -> Int64s:
+def rounded_steps(
+    model: StepModel, table: StepTable, potential: Potential, spacing_m: float
+) -> Int64s:
     """Steps on the grid (2 H, K, 4) by the row that they end in: D_x, D_y, from row, w.
 
     w is 0 behind the last step of a row.
@@ -116,13 +118,13 @@ def rounded_steps(model: StepModel, table: StepTable, guide: Potential, spacing_
     move_m = np.column_stack([table.d_col[at], table.d_row[at]]) * model.cell_m
     move_m += body_m[end] - body_m[start]
     length_m = np.linalg.norm(move_m, axis=1, keepdims=True)
-    along = _ALONG * guide.rate * move_m / np.maximum(length_m, _SHORT_M)
+    along = _ALONG * potential.rate * move_m / np.maximum(length_m, _SHORT_M)
     low = np.floor(move_m / spacing_m + NOTHING)
     part = np.maximum(move_m / spacing_m - low, 0.0)
     ends = low + np.array(list(np.ndindex(2, 2)))[:, None, :]
     chance = np.abs(ends - low - 1.0 + part).prod(axis=2)
     gained_m = ends * spacing_m - move_m
-    any_m = _ANY * guide.rate * np.linalg.norm(gained_m, axis=2)
+    any_m = _ANY * potential.rate * np.linalg.norm(gained_m, axis=2)
     extra_m = np.sum(along * gained_m, axis=2) + any_m - np.sum(chance * any_m, axis=0)
     step_m = table.cost_um[at] / MICRO
     # No step on the grid may cost nothing; less of it all still has the same mean.
@@ -171,7 +173,7 @@ class Work(NamedTuple):
 
 
 def rounded_costs(
-    space: Space,
+    lattice: Lattice,
     model: StepModel,
     steps: Int64s,
     spacing_m: float,
@@ -187,12 +189,12 @@ def rounded_costs(
     body in a cell of the lattice, NOWHERE_UM where none leads. A node that belongs to no such plan
     may have any bound that is not below what is then left of limit_um.
     """
-    fine = space.cell_m / spacing_m
-    states = 2 * space.headings
+    fine = lattice.cell_m / spacing_m
+    states = 2 * lattice.headings
     # As much more on all sides as a body's point can lie off its foot's node.
     rim = math.ceil(model.stance_width_m / spacing_m) + 2
-    col, row = (math.floor(v * fine) + rim for v in (space.origin_col, space.origin_row))
-    cols, rows = (math.ceil(v * fine) + 2 * rim + 1 for v in (space.cols, space.rows))
+    col, row = (math.floor(v * fine) + rim for v in (lattice.origin_col, lattice.origin_row))
+    cols, rows = (math.ceil(v * fine) + 2 * rim + 1 for v in (lattice.cols, lattice.rows))
     if cols * rows * states > MOST_STATES:
         return None
     body = body_points(model) / spacing_m
@@ -209,26 +211,26 @@ def rounded_costs(
         np.empty(0, np.int32),
         np.empty(0, np.int32),
         np.array([0, -1, 0, 0]),
-        zeros(cols * rows * space.headings, np.uint8),
-        _near_points(space, rounded, rows, start_um),
+        zeros(cols * rows * lattice.headings, np.uint8),
+        _near_points(lattice, rounded, rows, start_um),
     )
-    seeds = _points_around(space, rounded, ends)
+    seeds = _points_around(lattice, rounded, ends)
     work = _with_room(work, len(seeds))
     _seed(rounded, work, seeds, final_cost_um(model))
     while work.scalars[_WAITING] > 0:
         if not go_on():
             return None
         work = _with_room(work, _TURN * steps.shape[1])
-        _spread(space, rounded, work, _TURN)
+        _spread(lattice, rounded, work, _TURN)
     return rounded
 
 
-def _points_around(space: Space, rounded: Rounded, nodes: Int64s) -> Int64s:
+def _points_around(lattice: Lattice, rounded: Rounded, nodes: Int64s) -> Int64s:
     """The grid's states (m,) that nodes (n,) may be rounded to."""
-    states = 2 * space.headings
+    states = 2 * lattice.headings
     state, cell = nodes % states, nodes // states
-    x = (cell % space.cols - space.origin_col) * rounded.fine + rounded.body[state, 0]
-    y = (cell // space.cols - space.origin_row) * rounded.fine + rounded.body[state, 1]
+    x = (cell % lattice.cols - lattice.origin_col) * rounded.fine + rounded.body[state, 0]
+    y = (cell // lattice.cols - lattice.origin_row) * rounded.fine + rounded.body[state, 1]
     found = []
     for up, right in np.ndindex(2, 2):
         # What lies on the grid is rounded to one point only.
@@ -239,21 +241,21 @@ def _points_around(space: Space, rounded: Rounded, nodes: Int64s) -> Int64s:
 
 
 def _near_points(
-    space: Space, rounded: Rounded, rows: int, start_um: NDArray[np.int32]
+    lattice: Lattice, rounded: Rounded, rows: int, start_um: NDArray[np.int32]
 ) -> NDArray[np.int32]:
     """The least of costs (space.rows * space.cols,) of body cells within a of each grid point."""
     reach = math.ceil(1 / rounded.fine) + 1  # the body's cell is rounded, and so is the point
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     least_um = cv2.erode(
-        start_um.reshape(space.rows, space.cols).astype(np.float64),
+        start_um.reshape(lattice.rows, lattice.cols).astype(np.float64),
         square,
         borderType=cv2.BORDER_CONSTANT,
         borderValue=NOWHERE_UM,
     )
     col = np.rint((np.arange(rounded.cols) - rounded.origin_col) / rounded.fine).astype(np.int64)
     row = np.rint((np.arange(rows) - rounded.origin_row) / rounded.fine).astype(np.int64)
-    col, row = col + space.origin_col, row + space.origin_row
-    col_on, row_on = (col >= 0) & (col < space.cols), (row >= 0) & (row < space.rows)
+    col, row = col + lattice.origin_col, row + lattice.origin_row
+    col_on, row_on = (col >= 0) & (col < lattice.cols), (row >= 0) & (row < lattice.rows)
     near_um = np.full((rows, rounded.cols), NOWHERE_UM, np.int32)
     near_um[np.ix_(row_on, col_on)] = least_um[np.ix_(row[row_on], col[col_on])]
     return near_um.reshape(-1)
@@ -270,7 +272,7 @@ def _with_room(work: Work, entries: int) -> Work:
     return work._replace(node=node, after=after)
 
 
-@lean
+@njit_no_refcount
 def _seed(rounded: Rounded, work: Work, seeds: Int64s, seed_um: int) -> None:
     """Begins with states (n,) at a cost."""
     for i in range(len(seeds)):
@@ -279,7 +281,7 @@ def _seed(rounded: Rounded, work: Work, seeds: Int64s, seed_um: int) -> None:
     work.scalars[_BUCKET] = seed_um // work.width_um
 
 
-@lean
+@njit_no_refcount
 def _put(work: Work, state: int, cost_um: int) -> None:
     """Adds an entry for a state; there must be room for it."""
     scalars = work.scalars
@@ -295,8 +297,8 @@ def _put(work: Work, state: int, cost_um: int) -> None:
     scalars[_WAITING] += 1
 
 
-@lean
-def _spread(space: Space, rounded: Rounded, work: Work, budget: int) -> None:
+@njit_no_refcount
+def _spread(lattice: Lattice, rounded: Rounded, work: Work, budget: int) -> None:
     """Goes on for so many states, or until none waits."""
     cost_um, cols, limit_um = rounded.cost_um, rounded.cols, rounded.frontier_um
     steps, scalars, box_state, before_um = work.steps, work.scalars, work.box_state, work.before_um
@@ -336,25 +338,25 @@ def _spread(space: Space, rounded: Rounded, work: Work, budget: int) -> None:
                 continue
             if old == 0:
                 if box_state[before >> 1] == UNKNOWN:
-                    box_state[before >> 1] = _box_state(space, rounded, work, at, before)
+                    box_state[before >> 1] = _box_state(lattice, rounded, work, at, before)
                 if box_state[before >> 1] == BLOCKED:
                     continue
             cost_um[before] = cost
             _put(work, before, cost)
 
 
-@lean
-def _box_state(space: Space, rounded: Rounded, work: Work, point: int, state: int) -> int:
+@njit_no_refcount
+def _box_state(lattice: Lattice, rounded: Rounded, work: Work, point: int, state: int) -> int:
     """FREE unless what the body's boxes within a of a point all have in common is not."""
     turn = state % len(rounded.body) & ~1  # in half bins
-    angle = turn * (math.pi / space.headings)
+    angle = turn * (math.pi / lattice.headings)
     shrink_m = work.spacing_m * (abs(math.cos(angle)) + abs(math.sin(angle)))
-    half_l, half_w = space.body[0] - shrink_m, space.body[1] - shrink_m
+    half_l, half_w = lattice.body[0] - shrink_m, lattice.body[1] - shrink_m
     if half_l <= 0.0 or half_w <= 0.0:
         return FREE
     x = (point % rounded.cols - rounded.origin_col) * work.spacing_m
     y = (point // rounded.cols - rounded.origin_row) * work.spacing_m
-    x, y = to_grid(space, x, y)
-    if box_free(space.terrain, x, y, space.cos[turn], space.sin[turn], half_l, half_w):
+    x, y = to_grid(lattice, x, y)
+    if box_free(lattice.terrain, x, y, lattice.cos[turn], lattice.sin[turn], half_l, half_w):
         return FREE
     return BLOCKED

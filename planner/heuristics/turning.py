@@ -20,8 +20,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import allocating, in_tiles, lean, tiled, zeros
-from planner.heuristics.goal_table import FAR_UM, Endgame, backward_steps, least_step, longest_move
+from planner.compiled import in_tiles, njit_arrays, njit_no_refcount, tiled, zeros
+from planner.heuristics.goal_table import (
+    FAR_UM,
+    GoalTable,
+    backward_steps,
+    least_step,
+    longest_move,
+)
 from planner.heuristics.potential import Potential, grid_length
 from planner.lattice.steps import IntArray, StepTable
 
@@ -46,9 +52,9 @@ class Exits:
     radius_cells: int
 
 
-def build_exits(table: StepTable, guide: Potential) -> Exits:
+def build_exits(table: StepTable, potential: Potential) -> Exits:
     """The table of a step model."""
-    hop = longest_move(table, guide)
+    hop = longest_move(table, potential)
     reach = _RADIUS_CELLS + 2 * hop + 2
     cells = np.arange(-reach, reach + 1)
     col, row = np.meshgrid(cells, cells)
@@ -57,8 +63,8 @@ def build_exits(table: StepTable, guide: Potential) -> Exits:
     on_rim = (length > _RADIUS_CELLS) & (np.maximum(abs(col), abs(row)) <= _RADIUS_CELLS + hop)
     angle = np.arctan2(row, col) / (2 * np.pi) % 1.0
     sector = np.where(on_rim, np.floor(angle * SECTORS).astype(np.int64) % SECTORS, -1)
-    straight_um = straight_cost(col, row, guide)
-    body = np.stack([guide.body_col.reshape(-1), guide.body_row.reshape(-1)], axis=1)
+    straight_um = straight_cost(col, row, potential)
+    body = np.stack([potential.body_col.reshape(-1), potential.body_row.reshape(-1)], axis=1)
     turn_um = np.empty((len(body), SECTORS), np.int64)
     steps = backward_steps(table)
     for number in range(SECTORS):
@@ -68,7 +74,7 @@ def build_exits(table: StepTable, guide: Potential) -> Exits:
             sector == number,
             straight_um,
             body,
-            guide.potential_um.reshape(-1),
+            potential.potential_um.reshape(-1),
             steps,
         )
     rim = np.column_stack([v[on_rim] for v in (col, row, sector, straight_um)])
@@ -76,16 +82,16 @@ def build_exits(table: StepTable, guide: Potential) -> Exits:
     return Exits(turn_um=turn_um, rim=rim, ring=ring, radius_cells=_RADIUS_CELLS)
 
 
-def straight_cost(cols: IntArray, rows: IntArray, guide: Potential) -> IntArray:
+def straight_cost(cols: IntArray, rows: IntArray, potential: Potential) -> IntArray:
     """Cost (...) in micrometres of the shortest 16-neighbour path over free cells."""
     far, near = np.maximum(abs(cols), abs(rows)), np.minimum(abs(cols), abs(rows))
-    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(guide.move_um))
+    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(potential.move_um))
     flat = near * knight_um + (far - 2 * near) * level_um
     steep = (far - near) * knight_um + (2 * near - far) * diagonal_um
     return np.where(2 * near <= far, flat, steep).astype(np.int64)
 
 
-@allocating
+@njit_arrays
 def _leave(
     turn_um: IntArray,
     inside: NDArray[np.bool_],
@@ -140,7 +146,7 @@ def no_detours(cols: int, rows: int) -> NDArray[np.int32]:
     return zeros(tiled(cols, rows) * SECTORS, np.int32).reshape(-1, SECTORS)
 
 
-@lean
+@njit_no_refcount
 def measure_detours(
     best_um: NDArray[np.int32],
     col: int,
@@ -165,7 +171,7 @@ def measure_detours(
         best_um[rim[i, 2]] = min(best_um[rim[i, 2]], path + rim[i, 3] + 1)
 
 
-@lean
+@njit_no_refcount
 def exit_bound(
     detour_um: NDArray[np.int32],
     turn_um: IntArray,
@@ -221,11 +227,13 @@ class Facing:
     exact_um: int
 
 
-def build_facing(guide: Potential, endgame: Endgame) -> Facing:
+def build_facing(potential: Potential, goal_table: GoalTable) -> Facing:
     """The estimates of a step model."""
-    rows = 2 * len(guide.body_col)
-    level_um = int(guide.move_um.min())
-    along_um = _costs_at(guide, endgame, np.array(-_AWAY_CELLS), np.array(0), np.arange(rows))
+    rows = 2 * len(potential.body_col)
+    level_um = int(potential.move_um.min())
+    along_um = _costs_at(
+        potential, goal_table, np.array(-_AWAY_CELLS), np.array(0), np.arange(rows)
+    )
     along_um -= _AWAY_CELLS * level_um
     headings = rows // 2
     heading, side = np.arange(rows) // 2, np.arange(rows) % 2
@@ -233,29 +241,29 @@ def build_facing(guide: Potential, endgame: Endgame) -> Facing:
     turned = (heading[:, None] - middle[None, :]) % headings
     return Facing(
         depart_um=along_um[turned * 2 + side[:, None]],
-        arrive_um=_arrivals(guide, endgame, int(along_um[:2].min())),
-        exact_um=int(_EXACT * endgame.cap_um),
+        arrive_um=_arrivals(potential, goal_table, int(along_um[:2].min())),
+        exact_um=int(_EXACT * goal_table.cap_um),
     )
 
 
-def _arrivals(guide: Potential, endgame: Endgame, aligned_um: int) -> IntArray:
+def _arrivals(potential: Potential, goal_table: GoalTable, aligned_um: int) -> IntArray:
     """`Facing.arrive_um`; aligned_um: what a walk costs that is straight from end to end."""
-    headings = len(guide.body_col)
-    reach = len(endgame.cost_um) // 2
+    headings = len(potential.body_col)
+    reach = len(goal_table.cost_um) // 2
     cells = np.arange(-reach, reach + 1)
     col, row = np.meshgrid(cells, cells)
     toward = np.rint(np.arctan2(-row, -col) / (2 * np.pi) * headings).astype(np.int64) % headings
-    sides = [_costs_at(guide, endgame, col, row, 2 * toward + side) for side in range(2)]
-    straight_um = straight_cost(col, row, guide)
+    sides = [_costs_at(potential, goal_table, col, row, 2 * toward + side) for side in range(2)]
+    straight_um = straight_cost(col, row, potential)
     arrive_um = np.minimum(*sides) - straight_um - aligned_um
     return np.maximum(arrive_um, 0)
 
 
 def _costs_at(
-    guide: Potential, endgame: Endgame, col: IntArray, row: IntArray, state: IntArray
+    potential: Potential, goal_table: GoalTable, col: IntArray, row: IntArray, state: IntArray
 ) -> IntArray:
     """Exact costs (...) with the body in cells (...) in states heading * 2 + side."""
-    reach = len(endgame.cost_um) // 2
-    foot_col = np.clip(col - guide.body_col.reshape(-1)[state] + reach, 0, 2 * reach)
-    foot_row = np.clip(row - guide.body_row.reshape(-1)[state] + reach, 0, 2 * reach)
-    return endgame.cost_um[foot_row, foot_col, state].astype(np.int64)
+    reach = len(goal_table.cost_um) // 2
+    foot_col = np.clip(col - potential.body_col.reshape(-1)[state] + reach, 0, 2 * reach)
+    foot_row = np.clip(row - potential.body_row.reshape(-1)[state] + reach, 0, 2 * reach)
+    return goal_table.cost_um[foot_row, foot_col, state].astype(np.int64)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain, clearance_at, point_clearance
-from planner.compiled import allocating, lean
+from planner.compiled import njit_arrays, njit_no_refcount
 from planner.heuristics.potential import MOVES, Potential
-from planner.lattice.lattice import Int64s, Space
+from planner.lattice.lattice import Int64s, Lattice
 
 NOWHERE_UM = 1 << 30
 SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
@@ -63,12 +63,12 @@ class Moves(NamedTuple):
 NOT_DRAWN = Ahead(0, 0, 0, 0, 0, 0)
 
 
-def moves_of(guide: Potential) -> Moves:
+def moves_of(potential: Potential) -> Moves:
     """How paths of a robot's body move, and what that costs."""
-    return Moves(MOVES, guide.move_um, guide.reach_m)
+    return Moves(MOVES, potential.move_um, potential.reach_m)
 
 
-@lean
+@njit_no_refcount
 def ahead_um(ahead: Ahead, col: int, row: int) -> int:
     """Cost of the straight way from a cell, less the slack."""
     if ahead.level_um == 0:
@@ -82,7 +82,7 @@ def ahead_um(ahead: Ahead, col: int, row: int) -> int:
     return max(cost - ahead.slack_um, 0)
 
 
-@allocating
+@njit_arrays
 def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
     """`ahead_um` of cells (n,)."""
     values_um = np.empty(len(cells), np.int64)
@@ -91,18 +91,18 @@ def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
     return values_um
 
 
-def ahead_of(space: Space, guide: Potential, cells: Int64s) -> Ahead:
+def ahead_of(lattice: Lattice, potential: Potential, cells: Int64s) -> Ahead:
     """The straight way to the nearest of some cells (n,), or less."""
-    col, row = (int(v.min() + v.max()) // 2 for v in (cells % space.cols, cells // space.cols))
-    level_um, diagonal_um, knight_um = sorted(set(guide.move_um.tolist()))
+    col, row = (int(v.min() + v.max()) // 2 for v in (cells % lattice.cols, cells // lattice.cols))
+    level_um, diagonal_um, knight_um = sorted(set(potential.move_um.tolist()))
     ahead = Ahead(col, row, level_um, diagonal_um, knight_um, 0)
     # By how much the straight way to one of the cells may be shorter than that to their middle.
-    return ahead._replace(slack_um=int(all_ahead_um(ahead, space.cols, cells).max()))
+    return ahead._replace(slack_um=int(all_ahead_um(ahead, lattice.cols, cells).max()))
 
 
-@allocating
+@njit_arrays
 def spread_costs(
-    space: Space,
+    lattice: Lattice,
     cost_um: NDArray[np.int32],
     seeds: Int64s,
     seed_um: Int64s,
@@ -122,15 +122,15 @@ def spread_costs(
     Returns NOWHERE_UM once no cell is left; else what the cost and the way ahead of any cell that
     was not done add up to at least.
     """
-    queue = _queue_seeds(space, cost_um, seeds, seed_um, moves, ahead)
-    while not _spread_on(space, cost_um, moves, wanted, beyond_um, mask, ahead, queue):
+    queue = _queue_seeds(lattice, cost_um, seeds, seed_um, moves, ahead)
+    while not _spread_on(lattice, cost_um, moves, wanted, beyond_um, mask, ahead, queue):
         queue = _with_more_room(queue)
     return NOWHERE_UM if queue.at[WAITING] == 0 else queue.at[BUCKET] << queue.at[SHIFT]
 
 
-@lean
+@njit_no_refcount
 def _spread_on(
-    space: Space,
+    lattice: Lattice,
     cost_um: NDArray[np.int32],
     moves: Moves,
     wanted: Int64s,
@@ -143,9 +143,9 @@ def _spread_on(
     # In local names: taken from the tuples in the loop they cost more than the loop itself.
     around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
     head, cells, costs, after, at = queue.head, queue.cells, queue.costs, queue.after, queue.at
-    cols, ring, shift, bucket = space.cols, len(head) - 1, at[SHIFT], at[BUCKET]
-    clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
-    plane = space.frame, space.cell_m, space.origin_col, space.origin_row
+    cols, ring, shift, bucket = lattice.cols, len(head) - 1, at[SHIFT], at[BUCKET]
+    clearance_m, size_m = lattice.terrain.clearance_m, lattice.terrain.resolution_m
+    plane = lattice.frame, lattice.cell_m, lattice.origin_col, lattice.origin_row
     used, waiting, room = at[USED], at[WAITING], len(cells) - len(move_um)
     while waiting > 0:
         if at[LAST] < 0:
@@ -173,7 +173,7 @@ def _spread_on(
                     x, y = _on_map(plane, to_col, to_row)
                     shut = len(mask) > 0 and mask[near] == 0
                     if clearance_at(clearance_m, size_m, x, y) <= max(reach_m, 0.0):
-                        shut = shut or _is_shut(space, to_col, to_row, reach_m)
+                        shut = shut or _is_shut(lattice, to_col, to_row, reach_m)
                     if shut:
                         cost_um[near] = SHUT_CELL
                         continue
@@ -196,7 +196,7 @@ def _spread_on(
     return True
 
 
-@allocating
+@njit_arrays
 def _with_more_room(queue: Queue) -> Queue:
     """The queue with room for twice as many entries."""
     cells, costs, after = queue.cells, queue.costs, queue.after
@@ -209,9 +209,9 @@ def _with_more_room(queue: Queue) -> Queue:
     )
 
 
-@allocating
+@njit_arrays
 def _queue_seeds(
-    space: Space,
+    lattice: Lattice,
     cost_um: NDArray[np.int32],
     seeds: Int64s,
     seed_um: Int64s,
@@ -225,8 +225,8 @@ def _queue_seeds(
     key_um = np.empty(len(seeds), np.int64)
     low, high = NOWHERE_UM, 0
     for i in range(len(seeds)):
-        row = seeds[i] // space.cols
-        key_um[i] = seed_um[i] + ahead_um(ahead, seeds[i] - row * space.cols, row)
+        row = seeds[i] // lattice.cols
+        key_um[i] = seed_um[i] + ahead_um(ahead, seeds[i] - row * lattice.cols, row)
         low, high = min(low, key_um[i]), max(high, key_um[i])
     # The way ahead changes by no more than a move costs.
     span = (2 * moves.cost_um.max() + max(high - low, 0) >> shift) + 2
@@ -243,7 +243,7 @@ def _queue_seeds(
     used = 0
     for i in range(len(seeds)):
         cell, slot = seeds[i], key_um[i] >> shift & ring - 1
-        if cost_um[cell] == SHUT_CELL or cell_shut(space, cell, moves.reach_m):
+        if cost_um[cell] == SHUT_CELL or cell_shut(lattice, cell, moves.reach_m):
             continue
         cost_um[cell] = seed_um[i] + 1
         cells[used], costs[used] = cell, seed_um[i] + 1
@@ -252,7 +252,7 @@ def _queue_seeds(
     return Queue(head, cells, costs, after, np.array([shift, low >> shift, -1, used, used]))
 
 
-@lean
+@njit_no_refcount
 def _on_map(
     plane: tuple[tuple[float, float, float, float], float, int, int], col: int, row: int
 ) -> tuple[float, float]:
@@ -262,23 +262,23 @@ def _on_map(
     return ox + cos * x - sin * y, oy + sin * x + cos * y
 
 
-@lean
-def cell_shut(space: Space, cell: int, reach_m: float) -> bool:
+@njit_no_refcount
+def cell_shut(lattice: Lattice, cell: int, reach_m: float) -> bool:
     """Whether no body can be at this cell: an obstacle is nearer than reach_m."""
-    row = cell // space.cols
-    return _is_shut(space, cell - row * space.cols, row, reach_m)
+    row = cell // lattice.cols
+    return _is_shut(lattice, cell - row * lattice.cols, row, reach_m)
 
 
-@lean
-def _is_shut(space: Space, col: int, row: int, reach_m: float) -> bool:
-    if min(row, col) < _RIM or row >= space.rows - _RIM or col >= space.cols - _RIM:
+@njit_no_refcount
+def _is_shut(lattice: Lattice, col: int, row: int, reach_m: float) -> bool:
+    if min(row, col) < _RIM or row >= lattice.rows - _RIM or col >= lattice.cols - _RIM:
         return True
-    plane = space.frame, space.cell_m, space.origin_col, space.origin_row
+    plane = lattice.frame, lattice.cell_m, lattice.origin_col, lattice.origin_row
     x, y = _on_map(plane, col, row)
-    return is_nearer(space.terrain, x, y, reach_m)
+    return is_nearer(lattice.terrain, x, y, reach_m)
 
 
-@lean
+@njit_no_refcount
 def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
     """Whether blocked ground or the map's edge is nearer to a point than reach_m, exactly.
 

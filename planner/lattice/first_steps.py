@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import box_free, clearance_at
-from planner.compiled import allocating, lean
-from planner.lattice.lattice import Space, clearance_cost, first_climbs, node_free, radius_of
+from planner.compiled import njit_arrays, njit_no_refcount
+from planner.lattice.lattice import Lattice, clearance_cost, first_climbs, node_free, radius_of
 from planner.lattice.steps import allowed, step_cost_um
 from planner.robot_model import Side, StepModel
 
@@ -19,7 +19,7 @@ Int64s = NDArray[np.int64]
 
 
 def first_steps(
-    space: Space,
+    lattice: Lattice,
     model: StepModel,
     feet_lattice: FloatArray,
     swings: Sequence[Side],
@@ -38,8 +38,8 @@ def first_steps(
     far_m = math.hypot(*np.abs(spans[:2]).max(axis=1))
     around = [
         _nodes_around(
-            *(space.cols, space.rows, space.headings, space.origin_col, space.origin_row),
-            space.cell_m,
+            *(lattice.cols, lattice.rows, lattice.headings, lattice.origin_col, lattice.origin_row),
+            lattice.cell_m,
             feet_lattice[swing.other],
             int(swing),
             swing.outward * model.stance_width_m / 2,
@@ -54,13 +54,13 @@ def first_steps(
     costs_um = step_cost_um(steps, model)
     body = (model.body.length_m / 2 + body_margin_m, model.body.width_m / 2 + body_margin_m)
     free = np.zeros(len(nodes), np.bool_)
-    _check_first(space, nodes, poses, costs_um, feet_lattice, body, free)
-    if len(space.node_um):
-        _check_climbs(space, nodes, feet_lattice, feet_um, free)
+    _check_first(lattice, nodes, poses, costs_um, feet_lattice, body, free)
+    if len(lattice.node_um):
+        _check_climbs(lattice, nodes, feet_lattice, feet_um, free)
     return nodes[free], costs_um[free]
 
 
-@allocating
+@njit_arrays
 def _nodes_around(
     cols: int,
     rows: int,
@@ -112,9 +112,9 @@ def _nodes_around(
     return nodes[:number], poses[:number], steps[:number]
 
 
-@lean
+@njit_no_refcount
 def _check_first(
-    space: Space,
+    lattice: Lattice,
     nodes: Int64s,
     poses: FloatArray,
     costs_um: Int64s,
@@ -123,12 +123,12 @@ def _check_first(
     free: NDArray[np.bool_],
 ) -> None:
     """Marks the nodes (n,) whose foot and body are free, and adds the cost of clearance."""
-    terrain = space.terrain
+    terrain = lattice.terrain
     clearance_m, size_m, radius_m = terrain.clearance_m, terrain.resolution_m, radius_of(body)
-    ox, oy, frame_cos, frame_sin = space.frame
+    ox, oy, frame_cos, frame_sin = lattice.frame
     frame_yaw = math.atan2(frame_sin, frame_cos)
     for i in range(len(nodes)):
-        if not node_free(space, nodes[i]):
+        if not node_free(lattice, nodes[i]):
             continue
         support = feet[1 - (nodes[i] & 1)]
         x, y = 0.5 * (poses[i, 0] + support[0]), 0.5 * (poses[i, 1] + support[1])
@@ -140,16 +140,16 @@ def _check_first(
             terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]
         ):
             free[i] = True
-            if clear_m < space.clearance[0]:
-                costs_um[i] += clearance_cost(space, clear_m)
+            if clear_m < lattice.clearance[0]:
+                costs_um[i] += clearance_cost(lattice, clear_m)
 
 
-@lean
+@njit_no_refcount
 def _check_climbs(
-    space: Space, nodes: Int64s, feet: FloatArray, feet_um: Int64s, free: NDArray[np.bool_]
+    lattice: Lattice, nodes: Int64s, feet: FloatArray, feet_um: Int64s, free: NDArray[np.bool_]
 ) -> None:
     """Unmarks the nodes (n,) that are too high, too low or behind ground that is too high."""
-    ox, oy, frame_cos, frame_sin = space.frame
+    ox, oy, frame_cos, frame_sin = lattice.frame
     for i in range(len(nodes)):
         if free[i]:
             side = 1 - (nodes[i] & 1)
@@ -158,4 +158,4 @@ def _check_climbs(
             x = ox + frame_cos * support[0] - frame_sin * support[1]
             y = oy + frame_sin * support[0] + frame_cos * support[1]
             foot = x, y, math.cos(yaw), math.sin(yaw)
-            free[i] = first_climbs(space, foot, feet_um[side], nodes[i])
+            free[i] = first_climbs(lattice, foot, feet_um[side], nodes[i])

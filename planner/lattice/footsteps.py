@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import point_clearance
-from planner.lattice.lattice import Space, clearance_cost
+from planner.lattice.lattice import Lattice, clearance_cost
 from planner.lattice.steps import allowed, step_cost_um
 from planner.plan import wrap_angle
 from planner.robot_model import Side, StepModel
@@ -79,7 +79,7 @@ def step_costs(
     return np.where(allowed(steps, model), step_cost_um(steps, model), 0)
 
 
-def cost_of(space: Space, model: StepModel, stance: Stance, steps: Footsteps) -> int:
+def cost_of(lattice: Lattice, model: StepModel, stance: Stance, steps: Footsteps) -> int:
     """Cost in micrometres of steps from a stance to a goal, as the searches count it.
 
     The last step, beside the other foot at the goal, costs no clearance.
@@ -88,5 +88,5 @@ def cost_of(space: Space, model: StepModel, stance: Stance, steps: Footsteps) ->
     support = np.concatenate([first[None], steps.pose[:-1]])
     total = int(step_costs(support, steps.pose, 1 - 2 * steps.side.astype(int), model).sum())
     for x, y in (support + steps.pose)[:-1, :2] / 2:
-        total += int(clearance_cost(space, point_clearance(space.terrain, x, y)))
+        total += int(clearance_cost(lattice, point_clearance(lattice.terrain, x, y)))
     return total

@@ -24,7 +24,15 @@ from planner.collision import (
     highest_between,
     point_clearance,
 )
-from planner.compiled import Slots, allocating, lean, slot_of, slots_for, take_slot, zeros
+from planner.compiled import (
+    Slots,
+    njit_arrays,
+    njit_no_refcount,
+    slot_of,
+    slots_for,
+    take_slot,
+    zeros,
+)
 from planner.lattice.steps import MICRO, StepTable
 from planner.robot_model import StepModel
 
@@ -36,11 +44,11 @@ Int64s = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
-# Columns of Space.steps
+# Columns of Lattice.steps
 COST_UM, D_COL, D_ROW, D_NODE, D_CELL, TO_ROW, D_HALF, HALF_HEADING = range(8)
 
 
-class Space(NamedTuple):
+class Lattice(NamedTuple):
     """Geometry of the lattice over a map, and the caches of its checks.
 
     steps (2 H, K, 8): the step table; row heading * 2 + side is the support foot's. COST_UM: 0 for
@@ -108,7 +116,7 @@ def build_steps(table: StepTable, cols: int) -> Int64s:
 
 
 def turned_round(steps: Int64s) -> Int64s:
-    """Steps (2 H, K', 8) by the row in which they end, as `Space.steps` by that of their begin."""
+    """Steps (2 H, K', 8) by the row in which they end, as `Lattice.steps` by the first."""
     from_row, number = np.nonzero(steps[..., COST_UM])
     back = steps[from_row, number]
     to_row = back[:, TO_ROW].copy()
@@ -123,13 +131,13 @@ def turned_round(steps: Int64s) -> Int64s:
     return turned
 
 
-def build_space(
+def build_lattice(
     grid: OccupancyGrid,
     terrain: Terrain,
     model: StepModel,
     table: StepTable,
     goal: tuple[float, float, float],
-) -> Space:
+) -> Lattice:
     """The lattice over a map for a goal pair pose in the world; fails for no goal."""
     x_m, y_m = (float(v) for v in grid.world_to_grid(goal[:2]))
     yaw_rad = goal[2] - grid.origin[2]
@@ -143,7 +151,7 @@ def build_space(
     cols, rows = (int(v) for v in high - low + 1)
     slots = slots_for(cols * rows * model.headings * 2)
     half_bins = yaw_rad + np.arange(2 * model.headings) * (np.pi / model.headings)
-    return Space(
+    return Lattice(
         terrain=terrain,
         steps=build_steps(table, cols),
         cols=cols,
@@ -202,35 +210,35 @@ def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, 
     return length_m / 2 + margin_m, width_m / 2 + margin_m
 
 
-@lean
-def to_grid(space: Space, x: float, y: float) -> tuple[float, float]:
+@njit_no_refcount
+def to_grid(lattice: Lattice, x: float, y: float) -> tuple[float, float]:
     """Point of the lattice frame in the grid frame."""
-    ox, oy, cos, sin = space.frame
+    ox, oy, cos, sin = lattice.frame
     return ox + cos * x - sin * y, oy + sin * x + cos * y
 
 
-@lean
-def node_free(space: Space, node: int) -> bool:
+@njit_no_refcount
+def node_free(lattice: Lattice, node: int) -> bool:
     """Whether the foot's box and the body's box over this one foot are free; cached.
 
     Where the floor is not flat it must also be level under the foot.
     """
-    slot = take_slot(space.slots, node)
-    state = space.node_state[slot]
+    slot = take_slot(lattice.slots, node)
+    state = lattice.node_state[slot]
     if state == UNKNOWN:
-        state = check_node(space, node, slot)
+        state = check_node(lattice, node, slot)
     return state == FREE
 
 
-@lean
-def check_node(space: Space, node: int, slot: int) -> int:
+@njit_no_refcount
+def check_node(lattice: Lattice, node: int, slot: int) -> int:
     """FREE or BLOCKED, which it also notes in the node's slot."""
-    state = FREE if _node_is_free(space, node, slot) else BLOCKED
-    space.node_state[slot] = state
+    state = FREE if _node_is_free(lattice, node, slot) else BLOCKED
+    lattice.node_state[slot] = state
     return state
 
 
-@lean
+@njit_no_refcount
 def far_from_all(
     clearance_m: NDArray[np.float32],
     size_m: float,
@@ -251,77 +259,77 @@ def far_from_all(
     return clearance_at(clearance_m, size_m, body_x, body_y) > radii_m[1]
 
 
-@lean
+@njit_no_refcount
 def radius_of(half_box: tuple[float, float]) -> float:
     """Radius of the circle around a box, a hair more."""
     return math.sqrt(half_box[0] ** 2 + half_box[1] ** 2) + 1e-6
 
 
-@lean
-def _node_is_free(space: Space, node: int, slot: int) -> bool:
+@njit_no_refcount
+def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
     side = node & 1
-    heading = (node >> 1) % space.headings
-    cell = (node >> 1) // space.headings
-    row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
+    heading = (node >> 1) % lattice.headings
+    cell = (node >> 1) // lattice.headings
+    row, col = cell // lattice.cols - lattice.origin_row, cell % lattice.cols - lattice.origin_col
     out = 1 - 2 * side
-    foot_y = row * space.cell_m + out * space.half_stance_m
-    x, y = to_grid(space, col * space.cell_m, foot_y)
-    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
-    if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
+    foot_y = row * lattice.cell_m + out * lattice.half_stance_m
+    x, y = to_grid(lattice, col * lattice.cell_m, foot_y)
+    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
+    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
         return False
-    if len(space.node_um) > 0:
-        low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
-        if high - low > space.climb_um[2]:
+    if len(lattice.node_um) > 0:
+        low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
+        if high - low > lattice.climb_um[2]:
             return False
-        space.node_um[slot] = high
-    inward = out * space.half_stance_m
+        lattice.node_um[slot] = high
+    inward = out * lattice.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
-    return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
+    return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body[0], lattice.body[1])
 
 
-@lean
-def half_clearance(space: Space, half: int) -> float:
+@njit_no_refcount
+def half_clearance(lattice: Lattice, half: int) -> float:
     """Clearance in metres of a point of the grid of half cells.
 
     half = row * 2 * cols + col.
     """
-    width = 2 * space.cols
-    row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
-    x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
-    return point_clearance(space.terrain, x, y)
+    width = 2 * lattice.cols
+    row, col = half // width - 2 * lattice.origin_row, half % width - 2 * lattice.origin_col
+    x, y = to_grid(lattice, 0.5 * col * lattice.cell_m, 0.5 * row * lattice.cell_m)
+    return point_clearance(lattice.terrain, x, y)
 
 
-@lean
-def pair_free(space: Space, half: int, half_heading: int) -> bool:
+@njit_no_refcount
+def pair_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     """Whether the body's box at the pair pose of a step is free; cached."""
-    key = (half * 2 * space.headings + half_heading) * 2
+    key = (half * 2 * lattice.headings + half_heading) * 2
     slot = (key * 0x9E3779B1 >> 7) & (_PAIR_SLOTS - 1)
-    stored = space.pair_key[slot]  # 0 where nothing is: the first half cell lies on the rim
+    stored = lattice.pair_key[slot]  # 0 where nothing is: the first half cell lies on the rim
     if stored >> 1 == key >> 1:
         return (stored & 1) == 1
-    half_l, half_w = space.body
-    width = 2 * space.cols
-    row, col = half // width - 2 * space.origin_row, half % width - 2 * space.origin_col
-    x, y = to_grid(space, 0.5 * col * space.cell_m, 0.5 * row * space.cell_m)
+    half_l, half_w = lattice.body
+    width = 2 * lattice.cols
+    row, col = half // width - 2 * lattice.origin_row, half % width - 2 * lattice.origin_col
+    x, y = to_grid(lattice, 0.5 * col * lattice.cell_m, 0.5 * row * lattice.cell_m)
     free = box_free(
-        space.terrain, x, y, space.cos[half_heading], space.sin[half_heading], half_l, half_w
+        lattice.terrain, x, y, lattice.cos[half_heading], lattice.sin[half_heading], half_l, half_w
     )
-    space.pair_key[slot] = key + (1 if free else 0)
+    lattice.pair_key[slot] = key + (1 if free else 0)
     return free
 
 
-@lean
-def pair_known_free(space: Space, half: int, half_heading: int) -> bool:
+@njit_no_refcount
+def pair_known_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
-    if half_clearance(space, half) > radius_of(space.body):
+    if half_clearance(lattice, half) > radius_of(lattice.body):
         return True
-    return pair_free(space, half, half_heading)
+    return pair_free(lattice, half, half_heading)
 
 
-@lean
-def clearance_cost(space: Space, clearance_m: float) -> int:
+@njit_no_refcount
+def clearance_cost(lattice: Lattice, clearance_m: float) -> int:
     """Extra cost in micrometres of a step whose pair pose has this clearance."""
-    wanted_m, worst_m, cost_um = space.clearance
+    wanted_m, worst_m, cost_um = lattice.clearance
     if clearance_m >= wanted_m:
         return 0
     return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))
@@ -347,87 +355,89 @@ class Region(NamedTuple):
         return self.reach_m == 0.0 and self.reach_rad == 0.0
 
 
-def ends_in(space: Space, region: Region) -> Int64s:
+def ends_in(lattice: Lattice, region: Region) -> Int64s:
     """Nodes (n,), in rising order, beside which the other foot may be put down as the last."""
-    reach = math.ceil((region.reach_m + 2 * space.half_stance_m) / space.cell_m) + 1
-    bins = min(math.ceil(region.reach_rad * space.headings / (2 * np.pi)), space.headings // 2)
+    reach = math.ceil((region.reach_m + 2 * lattice.half_stance_m) / lattice.cell_m) + 1
+    bins = min(math.ceil(region.reach_rad * lattice.headings / (2 * np.pi)), lattice.headings // 2)
     col, row, heading, side = (
         v.reshape(-1)
         for v in np.meshgrid(
             np.arange(-reach, reach + 1),
             np.arange(-reach, reach + 1),
-            np.unique(np.arange(-bins, bins + 1) % space.headings),
+            np.unique(np.arange(-bins, bins + 1) % lattice.headings),
             np.arange(2),
             indexing="ij",
         )
     )
-    across, up = col + space.origin_col, row + space.origin_row
-    nodes = ((up * space.cols + across) * space.headings + heading) * 2 + side
-    on_map = (across >= 0) & (up >= 0) & (across < space.cols) & (up < space.rows)
+    across, up = col + lattice.origin_col, row + lattice.origin_row
+    nodes = ((up * lattice.cols + across) * lattice.headings + heading) * 2 + side
+    on_map = (across >= 0) & (up >= 0) & (across < lattice.cols) & (up < lattice.rows)
     nodes = np.sort(nodes[on_map])
-    return nodes[_may_end(space, nodes, region.reach_m, region.reach_rad)]
+    return nodes[_may_end(lattice, nodes, region.reach_m, region.reach_rad)]
 
 
 POINT = Region()
 
 
-@lean
-def beside(space: Space, node: int) -> tuple[float, float, float, float]:
+@njit_no_refcount
+def beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     """Where the other foot stands beside that of a node, and where the body is: x, y, x, y.
 
     In the frame of the lattice.
     """
-    heading = (node >> 1) % space.headings
-    cell = (node >> 1) // space.headings
-    out = (1 - 2 * (node & 1)) * space.half_stance_m
-    yaw = heading * (2.0 * math.pi / space.headings)
-    x = (cell % space.cols - space.origin_col) * space.cell_m
-    y = (cell // space.cols - space.origin_row) * space.cell_m + out
+    heading = (node >> 1) % lattice.headings
+    cell = (node >> 1) // lattice.headings
+    out = (1 - 2 * (node & 1)) * lattice.half_stance_m
+    yaw = heading * (2.0 * math.pi / lattice.headings)
+    x = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
+    y = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m + out
     over_x, over_y = out * math.sin(yaw), -out * math.cos(yaw)
     return x + 2.0 * over_x, y + 2.0 * over_y, x + over_x, y + over_y
 
 
-@lean
-def may_end_at(space: Space, node: int) -> bool:
+@njit_no_refcount
+def may_end_at(lattice: Lattice, node: int) -> bool:
     """Whether both feet may stand side by side, one of them at a node."""
-    if not node_free(space, node):
+    if not node_free(lattice, node):
         return False
-    foot_x, foot_y, _, _ = beside(space, node)
-    x, y = to_grid(space, foot_x, foot_y)
-    heading = (node >> 1) % space.headings
-    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
-    if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
+    foot_x, foot_y, _, _ = beside(lattice, node)
+    x, y = to_grid(lattice, foot_x, foot_y)
+    heading = (node >> 1) % lattice.headings
+    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
+    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
         return False
-    if len(space.node_um) == 0:
+    if len(lattice.node_um) == 0:
         return True
-    low, high = box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])
-    rise = abs(high - space.node_um[slot_of(space.slots, node)])
-    lowest, highest, level, _ = space.climb_um
+    low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
+    rise = abs(high - lattice.node_um[slot_of(lattice.slots, node)])
+    lowest, highest, level, _ = lattice.climb_um
     return low != NO_GROUND_UM and high - low <= level and rise <= min(-lowest, highest, level)
 
 
-@lean
-def height_beside(space: Space, node: int) -> int:
+@njit_no_refcount
+def height_beside(lattice: Lattice, node: int) -> int:
     """Height in micrometres of the ground under the other foot beside that of a node."""
-    if len(space.node_um) == 0:
+    if len(lattice.node_um) == 0:
         return 0
-    foot_x, foot_y, _, _ = beside(space, node)
-    x, y = to_grid(space, foot_x, foot_y)
-    heading = (node >> 1) % space.headings
-    cos, sin = space.cos[2 * heading], space.sin[2 * heading]
-    return box_heights(space.terrain, x, y, cos, sin, space.tread[0], space.tread[1])[1]
+    foot_x, foot_y, _, _ = beside(lattice, node)
+    x, y = to_grid(lattice, foot_x, foot_y)
+    heading = (node >> 1) % lattice.headings
+    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
+    return box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])[1]
 
 
-@allocating
-def _may_end(space: Space, nodes: Int64s, reach_m: float, reach_rad: float) -> NDArray[np.bool_]:
+@njit_arrays
+def _may_end(
+    lattice: Lattice, nodes: Int64s, reach_m: float, reach_rad: float
+) -> NDArray[np.bool_]:
     """Which of the nodes (n,) stand for free poses of the region."""
     free = np.zeros(len(nodes), np.bool_)
     for i in range(len(nodes)):
-        heading = (nodes[i] >> 1) % space.headings
-        turn = min(heading, space.headings - heading) * (2.0 * math.pi / space.headings)
-        _, _, x, y = beside(space, nodes[i])
+        heading = (nodes[i] >> 1) % lattice.headings
+        turn = min(heading, lattice.headings - heading) * (2.0 * math.pi / lattice.headings)
+        _, _, x, y = beside(lattice, nodes[i])
         near = turn <= reach_rad + _ROUNDING and math.hypot(x, y) <= reach_m + _ROUNDING
-        free[i] = near and may_end_at(space, nodes[i])
+        free[i] = near and may_end_at(lattice, nodes[i])
     return free
 
 
@@ -442,51 +452,51 @@ def _may_end(space: Space, nodes: Int64s, reach_m: float, reach_rad: float) -> N
 Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
 
 
-@lean
-def node_foot(space: Space, node: int) -> tuple[float, float, float, float]:
+@njit_no_refcount
+def node_foot(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     """Where the foot of a node is, x and y in the grid frame, and cosine and sine of its yaw."""
-    heading = (node >> 1) % space.headings
-    cell = (node >> 1) // space.headings
-    row, col = cell // space.cols - space.origin_row, cell % space.cols - space.origin_col
-    foot_y = row * space.cell_m + (1 - 2 * (node & 1)) * space.half_stance_m
-    x, y = to_grid(space, col * space.cell_m, foot_y)
-    return x, y, space.cos[2 * heading], space.sin[2 * heading]
+    heading = (node >> 1) % lattice.headings
+    cell = (node >> 1) // lattice.headings
+    row, col = cell // lattice.cols - lattice.origin_row, cell % lattice.cols - lattice.origin_col
+    foot_y = row * lattice.cell_m + (1 - 2 * (node & 1)) * lattice.half_stance_m
+    x, y = to_grid(lattice, col * lattice.cell_m, foot_y)
+    return x, y, lattice.cos[2 * heading], lattice.sin[2 * heading]
 
 
-@lean
-def step_climbs(space: Space, support: int, swing: int) -> bool:
+@njit_no_refcount
+def step_climbs(lattice: Lattice, support: int, swing: int) -> bool:
     """Whether the step between two free nodes is within the limits of rise and of its swing.
 
     The space must not be flat.
     """
-    support_um = space.node_um[slot_of(space.slots, support)]
-    swing_um = space.node_um[slot_of(space.slots, swing)]
+    support_um = lattice.node_um[slot_of(lattice.slots, support)]
+    swing_um = lattice.node_um[slot_of(lattice.slots, swing)]
     rise = swing_um - support_um
-    if rise < space.climb_um[0] or rise > space.climb_um[1]:
+    if rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
         return False
-    foot = node_foot(space, support)
-    highest = max(support_um, swing_um) + space.climb_um[3]
-    if _lower_around(space, foot, highest):
+    foot = node_foot(lattice, support)
+    highest = max(support_um, swing_um) + lattice.climb_um[3]
+    if _lower_around(lattice, foot, highest):
         return True
-    return swing_clears(space, foot, node_foot(space, swing), swing & 1, highest)
+    return swing_clears(lattice, foot, node_foot(lattice, swing), swing & 1, highest)
 
 
-@lean
-def first_climbs(space: Space, support: Foot, support_um: int, swing: int) -> bool:
+@njit_no_refcount
+def first_climbs(lattice: Lattice, support: Foot, support_um: int, swing: int) -> bool:
     """As `step_climbs`, from a foot that stands anywhere."""
-    swing_um = space.node_um[slot_of(space.slots, swing)]
+    swing_um = lattice.node_um[slot_of(lattice.slots, swing)]
     rise = swing_um - support_um
-    if rise < space.climb_um[0] or rise > space.climb_um[1]:
+    if rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
         return False
-    highest = max(support_um, swing_um) + space.climb_um[3]
-    return swing_clears(space, support, node_foot(space, swing), swing & 1, highest)
+    highest = max(support_um, swing_um) + lattice.climb_um[3]
+    return swing_clears(lattice, support, node_foot(lattice, swing), swing & 1, highest)
 
 
-@lean
-def _lower_around(space: Space, foot: Foot, highest: int) -> bool:
+@njit_no_refcount
+def _lower_around(lattice: Lattice, foot: Foot, highest: int) -> bool:
     """Whether all ground that a step from this foot can have to do with is no higher."""
-    terrain: Terrain = space.terrain
-    if space.swing_reach_m > NEAR_M:
+    terrain: Terrain = lattice.terrain
+    if lattice.swing_reach_m > NEAR_M:
         return False
     rows, cols = terrain.blocked.shape
     row = min(max(math.floor(foot[1] / terrain.resolution_m), 0), rows - 1)
@@ -494,21 +504,26 @@ def _lower_around(space: Space, foot: Foot, highest: int) -> bool:
     return terrain.highest_um[row, col] <= highest
 
 
-@lean
-def swing_clears(space: Space, support: Foot, swing: Foot, side: int, highest: int) -> bool:
+@njit_no_refcount
+def swing_clears(lattice: Lattice, support: Foot, swing: Foot, side: int, highest: int) -> bool:
     """Whether the ground on both ways that a step answers for is no higher than that (um).
 
     side: that of the swing foot, 0 left, 1 right.
     """
-    stance_m = 2.0 * space.half_stance_m * (1 - 2 * side)
+    stance_m = 2.0 * lattice.half_stance_m * (1 - 2 * side)
     beside_support = support[0] - support[3] * stance_m, support[1] + support[2] * stance_m
     beside_swing = swing[0] + swing[3] * stance_m, swing[1] - swing[2] * stance_m
     to_swing = highest_between(
-        space.terrain, beside_support, (swing[0], swing[1]), swing[2], swing[3], space.sole
+        lattice.terrain, beside_support, (swing[0], swing[1]), swing[2], swing[3], lattice.sole
     )
     if to_swing > highest:
         return False
     from_support = highest_between(
-        space.terrain, (support[0], support[1]), beside_swing, support[2], support[3], space.sole
+        lattice.terrain,
+        (support[0], support[1]),
+        beside_swing,
+        support[2],
+        support[3],
+        lattice.sole,
     )
     return from_support <= highest

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.compiled import lean, slot_of
-from planner.lattice.lattice import D_COL, D_ROW, UNKNOWN, Int64s, Space
+from planner.compiled import njit_no_refcount, slot_of
+from planner.lattice.lattice import D_COL, D_ROW, UNKNOWN, Int64s, Lattice
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class Change:
     freed: Int64s
 
 
-def change_between(space: Space, old: Terrain, new: Terrain) -> Change | None:
+def change_between(lattice: Lattice, old: Terrain, new: Terrain) -> Change | None:
     """What is different on a lattice over another terrain of the same size; None if nothing is."""
     differs = old.blocked != new.blocked
     shut, freed = differs & new.blocked, differs & old.blocked
@@ -35,67 +35,69 @@ def change_between(space: Space, old: Terrain, new: Terrain) -> Change | None:
         shut = freed = differs | (old.height_um != new.height_um)
     if not (shut.any() or freed.any()):
         return None
-    node_m, pair_m, step_m = _sights_m(space)
+    node_m, pair_m, step_m = _sights_m(lattice)
     return Change(
-        shut=_cells_around(space, shut, max(node_m, pair_m)),
-        freed=_cells_around(space, freed, max(step_m + node_m, pair_m)),
+        shut=_cells_around(lattice, shut, max(node_m, pair_m)),
+        freed=_cells_around(lattice, freed, max(step_m + node_m, pair_m)),
     )
 
 
-def over(space: Space, terrain: Terrain, change: Change) -> Space:
+def over(lattice: Lattice, terrain: Terrain, change: Change) -> Lattice:
     """The lattice over the terrain with that change; takes the old one's arrays for its own."""
-    _forget(space, change.shut)
-    _forget(space, change.freed)
-    space.pair_key.fill(0)
-    return space._replace(terrain=terrain)
+    _forget(lattice, change.shut)
+    _forget(lattice, change.freed)
+    lattice.pair_key.fill(0)
+    return lattice._replace(terrain=terrain)
 
 
-@lean
-def _forget(space: Space, cells: Int64s) -> None:
+@njit_no_refcount
+def _forget(lattice: Lattice, cells: Int64s) -> None:
     """Nodes in the cells (n,) are to be checked again."""
-    rows = 2 * space.headings
+    rows = 2 * lattice.headings
     for i in range(len(cells)):
         for row in range(rows):
-            slot = slot_of(space.slots, cells[i] * rows + row)
-            space.node_state[slot] = UNKNOWN
+            slot = slot_of(lattice.slots, cells[i] * rows + row)
+            lattice.node_state[slot] = UNKNOWN
 
 
-def _cells_around(space: Space, changed: NDArray[np.bool_], sight_m: float) -> Int64s:
+def _cells_around(lattice: Lattice, changed: NDArray[np.bool_], sight_m: float) -> Int64s:
     """Lattice cells (n,) no farther than that from the changed cells of the map."""
     row, col = np.nonzero(changed)
     if not len(row):
         return np.zeros(0, np.int64)
-    ox, oy, cos, sin = space.frame
-    size = space.terrain.resolution_m
+    ox, oy, cos, sin = lattice.frame
+    size = lattice.terrain.resolution_m
     dx, dy = (col + 0.5) * size - ox, (row + 0.5) * size - oy
     x, y = cos * dx + sin * dy, cos * dy - sin * dx
-    across = np.rint(x / space.cell_m).astype(np.int64) + space.origin_col
-    up = np.rint(y / space.cell_m).astype(np.int64) + space.origin_row
+    across = np.rint(x / lattice.cell_m).astype(np.int64) + lattice.origin_col
+    up = np.rint(y / lattice.cell_m).astype(np.int64) + lattice.origin_row
     # The distance field counts a blocked cell as nearer by up to its diagonal, to the point and to
     # the centre; and half the diagonal of the lattice's cell, for the rounding.
-    reach = (sight_m + 1.5 * size) / space.cell_m + 1
+    reach = (sight_m + 1.5 * size) / lattice.cell_m + 1
     rim = math.ceil(reach)
     first = max(up.min() - rim, 0), max(across.min() - rim, 0)
-    last = min(up.max() + rim, space.rows - 1), min(across.max() + rim, space.cols - 1)
+    last = min(up.max() + rim, lattice.rows - 1), min(across.max() + rim, lattice.cols - 1)
     away = np.ones((last[0] - first[0] + 1, last[1] - first[1] + 1), np.uint8)
     away[up - first[0], across - first[1]] = 0
     cells_away = cv2.distanceTransform(away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     row, col = np.nonzero(cells_away <= reach)
-    cells: Int64s = (row + first[0]) * space.cols + col + first[1]
+    cells: Int64s = (row + first[0]) * lattice.cols + col + first[1]
     return cells
 
 
-def _sights_m(space: Space) -> tuple[float, float, float]:
+def _sights_m(lattice: Lattice) -> tuple[float, float, float]:
     """How far from a foot's cell what concerns it may lie, and the longest step between cells.
 
     The first is for the checks of the foot, with the body over it and at the end with the other
     foot beside; the second for those of a step from or to it, with the body halfway.
     """
-    step_m = float(np.hypot(space.steps[..., D_COL], space.steps[..., D_ROW]).max()) * space.cell_m
-    body_m, side_m = math.hypot(*space.body), space.half_stance_m
-    foot_m = math.hypot(*np.maximum(space.foot, space.tread))
+    step_m = (
+        float(np.hypot(lattice.steps[..., D_COL], lattice.steps[..., D_ROW]).max()) * lattice.cell_m
+    )
+    body_m, side_m = math.hypot(*lattice.body), lattice.half_stance_m
+    foot_m = math.hypot(*np.maximum(lattice.foot, lattice.tread))
     node_m = max(2 * side_m + body_m, 3 * side_m + foot_m)
-    pair_m = step_m / 2 + max(body_m, space.clearance[0])
-    if not space.terrain.is_flat:
-        pair_m = max(pair_m, step_m + 2 * side_m + space.swing_reach_m)
+    pair_m = step_m / 2 + max(body_m, lattice.clearance[0])
+    if not lattice.terrain.is_flat:
+        pair_m = max(pair_m, step_m + 2 * side_m + lattice.swing_reach_m)
     return node_m, pair_m, step_m

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, Terrain, point_clearance
-from planner.compiled import allocating, lean
-from planner.lattice.lattice import Space
+from planner.compiled import njit_arrays, njit_no_refcount
+from planner.lattice.lattice import Lattice
 from planner.lattice.steps import MICRO
 from planner.refinement.cost import Rules, gap_axis, turn_between
 
@@ -52,7 +52,7 @@ class _Box(NamedTuple):
     by_yaw_cell: float
 
 
-@lean
+@njit_no_refcount
 def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: float) -> _Box:
     cos, sin = math.cos(yaw), math.sin(yaw)
     cos_sign, sin_sign = (1.0 if cos >= 0 else -1.0), (1.0 if sin >= 0 else -1.0)
@@ -72,7 +72,7 @@ def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: flo
     )
 
 
-@lean
+@njit_no_refcount
 def room_off_blocked(
     terrain: Terrain,
     x: float,
@@ -109,7 +109,7 @@ def room_off_blocked(
     return True
 
 
-@lean
+@njit_no_refcount
 def room_on_level(
     terrain: Terrain,
     x: float,
@@ -146,7 +146,7 @@ def room_on_level(
     return True
 
 
-@lean
+@njit_no_refcount
 def _window(terrain: Terrain, box: _Box, reach_m: float) -> tuple[int, int, int, int]:
     """First and last row and column of the cells that may lie within reach of a box."""
     rows, cols = terrain.blocked.shape
@@ -159,7 +159,7 @@ def _window(terrain: Terrain, box: _Box, reach_m: float) -> tuple[int, int, int,
     )
 
 
-@lean
+@njit_no_refcount
 def _note_edges(terrain: Terrain, box: _Box, room: FloatArray) -> None:
     """Notes the edges of the map, which no box may cross."""
     rows, cols = terrain.blocked.shape
@@ -174,7 +174,7 @@ def _note_edges(terrain: Terrain, box: _Box, room: FloatArray) -> None:
             _note_on_map_axis(box, way, gap, room)
 
 
-@lean
+@njit_no_refcount
 def _note_cell(box: _Box, dx: float, dy: float, half: float, room: FloatArray) -> None:
     """Notes a cell whose centre is at (dx, dy) from that of the box, if it is the nearest yet."""
     along, across = box.cos * dx + box.sin * dy, box.cos * dy - box.sin * dx
@@ -200,7 +200,7 @@ def _note_cell(box: _Box, dx: float, dy: float, half: float, room: FloatArray) -
         room[way, 3] = -sign * along - box.by_yaw_cell
 
 
-@lean
+@njit_no_refcount
 def _note_on_map_axis(box: _Box, way: int, gap: float, room: FloatArray) -> None:
     sign = -1.0 if way % 2 == 0 else 1.0
     room[way, 0] = gap
@@ -244,11 +244,11 @@ class Work(NamedTuple):
     along: FloatArray
 
 
-@allocating
-def new_work(space: Space, steps: int, edges: int) -> Work:
+@njit_arrays
+def new_work(lattice: Lattice, steps: int, edges: int) -> Work:
     """Empty arrays for so many steps, in a polygon of so many edges."""
     free, bound = 3 * (steps - 2), steps - 1
-    rules = edges + (TREAD if len(space.node_um) == 0 else TREAD + WAYS)
+    rules = edges + (TREAD if len(lattice.node_um) == 0 else TREAD + WAYS)
     return Work(
         np.zeros((bound, rules)),
         np.zeros((bound, rules, 6)),
@@ -269,12 +269,12 @@ def new_work(space: Space, steps: int, edges: int) -> Work:
 # loop over the steps costs more than what is done with it.
 
 
-@lean
+@njit_no_refcount
 def note_rules(rules: Rules, work: Work, poses: FloatArray, first_outward: float) -> None:
     """Fills step, value, slope and active of all steps; step i leads from pose i to pose i + 1."""
-    terrain, foot, body = rules.space.terrain, rules.space.foot, rules.space.body
-    tread, level_um = rules.space.tread, rules.space.climb_um[2]
-    half_stance_m, is_flat = rules.space.half_stance_m, len(rules.space.node_um) == 0
+    terrain, foot, body = rules.lattice.terrain, rules.lattice.foot, rules.lattice.body
+    tread, level_um = rules.lattice.tread, rules.lattice.climb_um[2]
+    half_stance_m, is_flat = rules.lattice.half_stance_m, len(rules.lattice.node_um) == 0
     first_body, sole, limits, reach = rules.first_body, rules.foot, rules.limits, rules.reach
     value, slope, active, room, step = work.value, work.slope, work.active, work.room, work.step
     outward = first_outward
@@ -303,7 +303,7 @@ def note_rules(rules: Rules, work: Work, poses: FloatArray, first_outward: float
         outward = -outward
 
 
-@lean
+@njit_no_refcount
 def _note_step(poses: FloatArray, i: int, outward: float, step: FloatArray) -> None:
     """Fills step i of (N - 1, 3, 7): derivatives of x, y, yaw by both poses, and their values."""
     dx, dy = poses[i + 1, 0] - poses[i, 0], poses[i + 1, 1] - poses[i, 1]
@@ -318,14 +318,14 @@ def _note_step(poses: FloatArray, i: int, outward: float, step: FloatArray) -> N
         step[i, 2, k] = outward * number
 
 
-@lean
+@njit_no_refcount
 def _midway(poses: FloatArray, i: int) -> tuple[float, float, float]:
     """Pair pose of poses i and i + 1."""
     x, y = 0.5 * (poses[i, 0] + poses[i + 1, 0]), 0.5 * (poses[i, 1] + poses[i + 1, 1])
     return x, y, poses[i, 2] + 0.5 * turn_between(poses[i, 2], poses[i + 1, 2])
 
 
-@lean
+@njit_no_refcount
 def _note_limits(
     limits: FloatArray,
     sole: tuple[float, float],
@@ -353,7 +353,7 @@ def _note_limits(
         slope[i, GAP, k] = by_x * step[i, 0, k] + by_y * step[i, 1, k] + by_yaw * step[i, 2, k]
 
 
-@lean
+@njit_no_refcount
 def _note_reach(
     reach: FloatArray,
     i: int,
@@ -372,7 +372,7 @@ def _note_reach(
             slope[i, row, k] = -n_x * step[i, 0, k] - n_y * step[i, 1, k]
 
 
-@lean
+@njit_no_refcount
 def _take_room(
     i: int,
     first: int,
@@ -401,7 +401,7 @@ def _take_room(
         slope[i, row, 5] += room[way, 1] * x_by_yaw + room[way, 2] * y_by_yaw
 
 
-@lean
+@njit_no_refcount
 def add(block: FloatArray, curve: float, slope: FloatArray, i: int, row: int, force: float) -> None:
     """Adds curve * along * along^T and force * along to a block (6, 7); along: slope[i, row]."""
     for a in range(6):
@@ -411,7 +411,7 @@ def add(block: FloatArray, curve: float, slope: FloatArray, i: int, row: int, fo
             block[a, b] += curve * along * slope[i, row, b]
 
 
-@lean
+@njit_no_refcount
 def take_block(block: FloatArray, i: int, matrix: FloatArray, right: FloatArray) -> None:
     """Adds the block of step i to the system; what belongs to fixed poses is left out."""
     base, size = 3 * (i - 1), len(right)
@@ -421,7 +421,7 @@ def take_block(block: FloatArray, i: int, matrix: FloatArray, right: FloatArray)
             matrix[base + a, a - b] += block[a, b]
 
 
-@lean
+@njit_no_refcount
 def note_costs(
     weights: tuple[float, float, float, float, float],
     i: int,
@@ -462,7 +462,7 @@ def note_costs(
     return cost_m + per_back * max(-x, 0.0)
 
 
-@lean
+@njit_no_refcount
 def note_clearance(
     terrain: Terrain,
     clearance: tuple[float, float, float],
@@ -495,7 +495,7 @@ def note_clearance(
     return most_um / MICRO * min(max(short_m / (wanted_m - worst_m), 0.0), 1.0)
 
 
-@lean
+@njit_no_refcount
 def _smooth(field: NDArray[np.float32], size: float, x: float, y: float) -> float:
     """Clearance at a point, linear between the centres of cells."""
     rows, cols = field.shape

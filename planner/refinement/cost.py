@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, box_free, box_heights, point_clearance
-from planner.compiled import lean
-from planner.lattice.lattice import Space, clearance_cost, swing_clears
+from planner.compiled import njit_no_refcount
+from planner.lattice.lattice import Lattice, clearance_cost, swing_clears
 from planner.lattice.steps import MICRO
 from planner.robot_model import StepModel
 
@@ -34,7 +34,7 @@ class Rules(NamedTuple):
     back.
     """
 
-    space: Space
+    lattice: Lattice
     limits: FloatArray
     reach: FloatArray
     foot: tuple[float, float]
@@ -45,7 +45,7 @@ class Rules(NamedTuple):
 
 
 def build_rules(
-    space: Space,
+    lattice: Lattice,
     model: StepModel,
     feet: FloatArray,
     feet_um: NDArray[np.int64],
@@ -54,7 +54,7 @@ def build_rules(
     """The rules of a step model in a space, for a robot that stands on feet (2, 3)."""
     limits, half_gap_m = model.limits, model.foot_gap_m / 2
     return Rules(
-        space=space,
+        lattice=lattice,
         limits=np.array([*limits.x_m, *limits.y_m, *limits.yaw_rad]),
         reach=np.ascontiguousarray(limits.half_planes),
         foot=(model.foot.length_m / 2 + half_gap_m, model.foot.width_m / 2 + half_gap_m),
@@ -74,14 +74,14 @@ def build_rules(
     )
 
 
-@lean
+@njit_no_refcount
 def turn_between(yaw: float, other: float) -> float:
     """Angle from one heading to another in [-pi, pi)."""
     turn = other - yaw
     return turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
 
 
-@lean
+@njit_no_refcount
 def step_between(
     support: FloatArray, swing: FloatArray, outward: float
 ) -> tuple[float, float, float]:
@@ -92,7 +92,7 @@ def step_between(
     return cos * dx + sin * dy, outward * (cos * dy - sin * dx), outward * turn
 
 
-@lean
+@njit_no_refcount
 def gap_axis(
     x: float, y: float, yaw: float, half_l: float, half_w: float
 ) -> tuple[float, float, float, float]:
@@ -132,31 +132,31 @@ def gap_axis(
     return best, d_x, d_y, d_yaw
 
 
-@lean
-def foot_pose_free(space: Space, pose: FloatArray, outward: float) -> bool:
+@njit_no_refcount
+def foot_pose_free(lattice: Lattice, pose: FloatArray, outward: float) -> bool:
     """Whether a foot may stand at a pose (3,): its box and the body's box over it are free."""
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    if not box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1]):
+    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
         return False
-    inward = outward * space.half_stance_m
+    inward = outward * lattice.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
-    return box_free(space.terrain, body_x, body_y, cos, sin, space.body[0], space.body[1])
+    return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body[0], lattice.body[1])
 
 
-@lean
-def foot_height_um(space: Space, pose: FloatArray) -> int:
+@njit_no_refcount
+def foot_height_um(lattice: Lattice, pose: FloatArray) -> int:
     """Height of the ground under a foot in micrometres; NO_GROUND_UM where it is not level."""
-    if len(space.node_um) == 0:
+    if len(lattice.node_um) == 0:
         return 0
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    half_l, half_w = space.tread
-    low, high = box_heights(space.terrain, pose[0], pose[1], cos, sin, half_l, half_w)
-    return high if high - low <= space.climb_um[2] else NO_GROUND_UM
+    half_l, half_w = lattice.tread
+    low, high = box_heights(lattice.terrain, pose[0], pose[1], cos, sin, half_l, half_w)
+    return high if high - low <= lattice.climb_um[2] else NO_GROUND_UM
 
 
-@lean
+@njit_no_refcount
 def _climbs(
-    space: Space,
+    lattice: Lattice,
     support: FloatArray,
     swing: FloatArray,
     support_um: int,
@@ -164,28 +164,28 @@ def _climbs(
     outward: float,
 ) -> bool:
     """Whether a step is within the limits of rise and of what it swings over, as in `rise.py`."""
-    if len(space.node_um) == 0:
+    if len(lattice.node_um) == 0:
         return True
     rise = swing_um - support_um
-    if swing_um == NO_GROUND_UM or rise < space.climb_um[0] or rise > space.climb_um[1]:
+    if swing_um == NO_GROUND_UM or rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
         return False
     return swing_clears(
-        space,
+        lattice,
         (support[0], support[1], math.cos(support[2]), math.sin(support[2])),
         (swing[0], swing[1], math.cos(swing[2]), math.sin(swing[2])),
         0 if outward > 0 else 1,
-        max(support_um, swing_um) + space.climb_um[3],
+        max(support_um, swing_um) + lattice.climb_um[3],
     )
 
 
-@lean
+@njit_no_refcount
 def pair_pose_of(support: FloatArray, swing: FloatArray) -> tuple[float, float, float]:
     """Point midway between two feet (3,) and their mean heading."""
     yaw = support[2] + 0.5 * turn_between(support[2], swing[2])
     return 0.5 * (support[0] + swing[0]), 0.5 * (support[1] + swing[1]), yaw
 
 
-@lean
+@njit_no_refcount
 def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
     """Whether a step is within the limits and keeps the feet apart."""
     limits, reach, foot = rules.limits, rules.reach, rules.foot
@@ -200,13 +200,13 @@ def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
     )
 
 
-@lean
+@njit_no_refcount
 def chain_cost_um(rules: Rules, poses: FloatArray, first_outward: float) -> int:
     """Cost of a chain (N + 1, 3) as the search counts it, or NOT_ALLOWED if it breaks a rule.
 
     first_outward: sign of the first step's side.
     """
-    space = rules.space
+    lattice = rules.lattice
     stance, per_step, per_turn, per_side, per_back = rules.weights
     total, outward = 0, first_outward
     support_um = rules.feet_um[1 if first_outward > 0 else 0]
@@ -214,8 +214,8 @@ def chain_cost_um(rules: Rules, poses: FloatArray, first_outward: float) -> int:
         x, y, yaw = step_between(poses[i - 1], poses[i], outward)
         if not _within(rules, x, y, yaw):
             return NOT_ALLOWED
-        swing_um = foot_height_um(space, poses[i])
-        if not _climbs(space, poses[i - 1], poses[i], support_um, swing_um, outward):
+        swing_um = foot_height_um(lattice, poses[i])
+        if not _climbs(lattice, poses[i - 1], poses[i], support_um, swing_um, outward):
             return NOT_ALLOWED
         cost_m = math.hypot(x, y) + per_step + per_turn * abs(yaw)
         cost_m += per_side * abs(y - stance) + per_back * max(-x, 0.0)
@@ -223,12 +223,12 @@ def chain_cost_um(rules: Rules, poses: FloatArray, first_outward: float) -> int:
         # Both feet of the last step stand where the goal wants them, clear of everything.
         if i < len(poses) - 1:
             pair_x, pair_y, pair_yaw = pair_pose_of(poses[i - 1], poses[i])
-            body = rules.first_body if i == 1 else space.body
+            body = rules.first_body if i == 1 else lattice.body
             cos, sin = math.cos(pair_yaw), math.sin(pair_yaw)
-            if not box_free(space.terrain, pair_x, pair_y, cos, sin, body[0], body[1]):
+            if not box_free(lattice.terrain, pair_x, pair_y, cos, sin, body[0], body[1]):
                 return NOT_ALLOWED
-            total += clearance_cost(space, point_clearance(space.terrain, pair_x, pair_y))
-            if not foot_pose_free(space, poses[i], outward):
+            total += clearance_cost(lattice, point_clearance(lattice.terrain, pair_x, pair_y))
+            if not foot_pose_free(lattice, poses[i], outward):
                 return NOT_ALLOWED
         outward, support_um = -outward, swing_um
     return total

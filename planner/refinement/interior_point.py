@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import allocating, lean
+from planner.compiled import njit_arrays, njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.refinement.constraints import (
     SPARE_M,
@@ -35,7 +35,7 @@ _LEAST_SLACK_M = 0.01
 _TO_EDGE = 0.95  # part of the way to the edge of what is allowed that one iteration goes at most
 
 
-@allocating
+@njit_arrays
 def relax(
     rules: Rules,
     poses: FloatArray,
@@ -53,8 +53,8 @@ def relax(
     if len(poses) <= 3:
         best[:] = poses
         return chain_cost_um(rules, poses, first_outward)
-    work = new_work(rules.space, len(poses) - 1, len(rules.reach))
-    is_flat = len(rules.space.node_um) == 0
+    work = new_work(rules.lattice, len(poses) - 1, len(rules.reach))
+    is_flat = len(rules.lattice.node_um) == 0
     mu, least_m = _FIRST_MU, math.inf
     for iteration in range(iterations):
         worst, cost_m = _build(rules, work, poses, first_outward, mu)
@@ -73,7 +73,7 @@ def relax(
     return chain_cost_um(rules, best, first_outward)
 
 
-@allocating
+@njit_arrays
 def _build(
     rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu: float
 ) -> tuple[float, float]:
@@ -81,7 +81,7 @@ def _build(
     value, slope, slack, force = work.value, work.slope, work.slack, work.force
     active, matrix, right, step = work.active, work.matrix, work.right, work.step
     block, along, weights = work.block, work.along, rules.weights
-    terrain, clearance = rules.space.terrain, rules.space.clearance
+    terrain, clearance = rules.lattice.terrain, rules.lattice.clearance
     matrix[:] = 0.0
     right[:] = 0.0
     for k in range(len(right)):
@@ -109,7 +109,7 @@ def _build(
     return worst, cost_m
 
 
-@lean
+@njit_no_refcount
 def _solve(matrix: FloatArray, right: FloatArray) -> bool:
     """Solves the banded system in place by Cholesky's method; whether it could be."""
     size, band = matrix.shape
@@ -135,7 +135,7 @@ def _solve(matrix: FloatArray, right: FloatArray) -> bool:
     return True
 
 
-@lean
+@njit_no_refcount
 def _advance(work: Work, poses: FloatArray, mu: float) -> float:
     """Goes along the solution as far as it may; returns the mean of slack times force.
 

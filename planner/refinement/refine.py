@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import allocating
+from planner.compiled import njit_arrays
 from planner.lattice.steps import MICRO
 from planner.plan import wrap_angle
 from planner.refinement.cost import (
@@ -54,19 +54,19 @@ def refine(request: Request, result: Result) -> Result:
 
     The same result where nothing cheaper is found. It depends on nothing but its arguments.
     """
-    space, model = request.space, request.model
+    lattice, model = request.lattice, request.model
     if len(result.side) <= 2:
         return result
     rules = build_rules(
-        space,
+        lattice,
         model,
-        _to_grid(request.feet_lattice, space.frame),
+        _to_grid(request.feet_lattice, lattice.frame),
         np.rint(request.feet_m * MICRO).astype(np.int64),
         0.0 if request.stands else model.body_margin_m,
     )
     outward = 1.0 - 2.0 * result.side[0]
     poses = np.vstack([request.feet_lattice[1 - result.side[0]], result.pose_lattice])
-    poses = _to_grid(poses, space.frame)
+    poses = _to_grid(poses, lattice.frame)
     stance, per_step, per_turn, per_side, per_back = rules.weights
     weights = stance, per_step, max(per_turn, _LEAST_TURN_COST_M), per_side, per_back
     straight = rules._replace(weights=weights)
@@ -80,11 +80,11 @@ def refine(request: Request, result: Result) -> Result:
         return result
     first = 0 if outward > 0 else 1
     side = ((np.arange(len(found) - 1) + first) % 2).astype(np.int8)
-    pose_lattice = _to_lattice(found[1:], space.frame)
+    pose_lattice = _to_lattice(found[1:], lattice.frame)
     # The goal feet are the same to the bit.
     goals = {int(s): p for s, p in zip(result.side[-2:], result.pose_lattice[-2:], strict=True)}
     pose_lattice[-2:] = [goals[int(s)] for s in side[-2:]]
-    height_um = np.array([foot_height_um(space, pose) for pose in found[1:]])
+    height_um = np.array([foot_height_um(lattice, pose) for pose in found[1:]])
     return replace(
         result,
         side=side,
@@ -146,7 +146,7 @@ def _moved(
     return _Chain(best, outward, cost_um)
 
 
-@allocating
+@njit_arrays
 def _laid_out(
     feet: FloatArray, poses: FloatArray, outward: float, steps: int, swap: bool
 ) -> FloatArray:

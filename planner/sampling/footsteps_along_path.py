@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import box_free, box_heights, point_clearance
-from planner.compiled import lean
+from planner.compiled import njit_no_refcount
 from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, step_costs
-from planner.lattice.lattice import Space, clearance_cost, swing_clears
+from planner.lattice.lattice import Lattice, clearance_cost, swing_clears
 from planner.lattice.steps import MICRO
 from planner.plan import wrap_angle
 from planner.robot_model import Side, StepModel
@@ -32,29 +32,31 @@ NO_COST = 1 << 60
 START, NOWHERE = -1, -2  # instead of the point stepped from
 
 
-@lean
+@njit_no_refcount
 def check_feet(
-    space: Space, path: FloatArray, feet: FloatArray, ok: NDArray[np.bool_], height_um: Int64s
+    lattice: Lattice, path: FloatArray, feet: FloatArray, ok: NDArray[np.bool_], height_um: Int64s
 ) -> None:
     """Marks (n, 2) where a foot and the body over it are free, and notes the ground's height."""
     for i in range(len(path)):
         cos, sin = math.cos(path[i, 2]), math.sin(path[i, 2])
         x, y = path[i, 0], path[i, 1]
-        if not box_free(space.terrain, x, y, cos, sin, space.body[0], space.body[1]):
+        if not box_free(lattice.terrain, x, y, cos, sin, lattice.body[0], lattice.body[1]):
             continue
         for side in range(2):
             x, y = feet[side, i, 0], feet[side, i, 1]
-            ok[i, side] = box_free(space.terrain, x, y, cos, sin, space.foot[0], space.foot[1])
-            if ok[i, side] and len(space.node_um) > 0:
-                half_l, half_w = space.tread
-                low, high = box_heights(space.terrain, x, y, cos, sin, half_l, half_w)
-                ok[i, side] = high - low <= space.climb_um[2]
+            ok[i, side] = box_free(
+                lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]
+            )
+            if ok[i, side] and len(lattice.node_um) > 0:
+                half_l, half_w = lattice.tread
+                low, high = box_heights(lattice.terrain, x, y, cos, sin, half_l, half_w)
+                ok[i, side] = high - low <= lattice.climb_um[2]
                 height_um[i, side] = high
 
 
-@lean
+@njit_no_refcount
 def _extra_cost(
-    space: Space,
+    lattice: Lattice,
     support: FloatArray,
     swing: FloatArray,
     side: int,
@@ -68,23 +70,23 @@ def _extra_cost(
     x, y = 0.5 * (support[0] + swing[0]), 0.5 * (support[1] + swing[1])
     turn = (swing[2] - support[2] + math.pi) % (2 * math.pi) - math.pi
     yaw = support[2] + 0.5 * turn
-    if not box_free(space.terrain, x, y, math.cos(yaw), math.sin(yaw), body[0], body[1]):
+    if not box_free(lattice.terrain, x, y, math.cos(yaw), math.sin(yaw), body[0], body[1]):
         return -1
-    if len(space.node_um) > 0:
+    if len(lattice.node_um) > 0:
         rise = heights_um[1] - heights_um[0]
-        if rise < space.climb_um[0] or rise > space.climb_um[1]:
+        if rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
             return -1
         stands = support[0], support[1], math.cos(support[2]), math.sin(support[2])
         lands = swing[0], swing[1], math.cos(swing[2]), math.sin(swing[2])
-        highest = max(heights_um[0], heights_um[1]) + space.climb_um[3]
-        if not swing_clears(space, stands, lands, side, highest):
+        highest = max(heights_um[0], heights_um[1]) + lattice.climb_um[3]
+        if not swing_clears(lattice, stands, lands, side, highest):
             return -1
-    return clearance_cost(space, point_clearance(space.terrain, x, y))
+    return clearance_cost(lattice, point_clearance(lattice.terrain, x, y))
 
 
-@lean
+@njit_no_refcount
 def check_seeds(
-    space: Space,
+    lattice: Lattice,
     standing: FloatArray,
     standing_um: Int64s,
     feet: FloatArray,
@@ -102,13 +104,13 @@ def check_seeds(
             if ok[i, side]:
                 heights = standing_um[1 - side], height_um[i, side]
                 support = standing[1 - side]
-                extra = _extra_cost(space, support, feet[side, i], side, heights, body)
+                extra = _extra_cost(lattice, support, feet[side, i], side, heights, body)
             seeds_um[i, side] = seeds_um[i, side] + extra if extra >= 0 else 0
 
 
-@lean
+@njit_no_refcount
 def walk(
-    space: Space,
+    lattice: Lattice,
     feet: FloatArray,
     height_um: Int64s,
     ok: NDArray[np.bool_],
@@ -138,7 +140,7 @@ def walk(
                     continue
                 heights = height_um[i, support], height_um[to, swing]
                 stands, lands = feet[support, i], feet[swing, to]
-                extra = _extra_cost(space, stands, lands, swing, heights, space.body)
+                extra = _extra_cost(lattice, stands, lands, swing, heights, lattice.body)
                 if extra >= 0 and there + extra < best_um[to, swing]:
                     best_um[to, swing], before[to, swing] = there + extra, i
 
@@ -175,12 +177,14 @@ def dense(corners: FloatArray) -> FloatArray:
 class Strand:
     """The cheapest steps along a path (n, 3) from a stance, to every point that they lead to."""
 
-    def __init__(self, space: Space, model: StepModel, path: FloatArray, stance: Stance) -> None:
+    def __init__(
+        self, lattice: Lattice, model: StepModel, path: FloatArray, stance: Stance
+    ) -> None:
         self._feet = feet_beside(path, model)
         number = len(path)
         ok = np.zeros((number, 2), np.bool_)
         self._height_um = np.zeros((number, 2), np.int64)
-        check_feet(space, path, self._feet, ok, self._height_um)
+        check_feet(lattice, path, self._feet, ok, self._height_um)
         after = np.minimum(np.arange(number)[:, None] + np.arange(_REACH), number - 1)
         beyond = np.arange(number)[:, None] + np.arange(_REACH) >= number
         cost_um = np.zeros((number, _REACH, 2), np.int64)
@@ -200,10 +204,10 @@ class Strand:
         )
         standing_um = np.rint(stance.feet_m * MICRO).astype(np.int64)
         ground = self._feet, self._height_um, ok
-        check_seeds(space, stance.feet, standing_um, *ground, body, seeds_um)
+        check_seeds(lattice, stance.feet, standing_um, *ground, body, seeds_um)
         self._cost_um = np.full((number, 2), NO_COST)
         self._before = np.full((number, 2), NOWHERE)
-        walk(space, *ground, cost_um, seeds_um, self._cost_um, self._before)
+        walk(lattice, *ground, cost_um, seeds_um, self._cost_um, self._before)
         reached = np.nonzero(self._cost_um.min(axis=1) < NO_COST)[0]
         self.end = int(reached[-1]) if len(reached) else START
         self._arrives = self.end == number - 1 and bool(ok[-1].all())

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ompl import base, geometric, util
 
 from planner.collision import Terrain, box_free, point_clearance
-from planner.compiled import lean
+from planner.compiled import njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.robot_model import BodyShape, FootShape, StepModel
 
@@ -58,7 +58,7 @@ def _half_box(shape: BodyShape | FootShape, margin_m: float) -> tuple[float, flo
     return shape.length_m / 2 + margin_m, shape.width_m / 2 + margin_m
 
 
-@lean
+@njit_no_refcount
 def can_stand(terrain: Terrain, outline: Outline, x: float, y: float, yaw: float) -> bool:
     """Whether body and both feet are free at a pair pose."""
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -71,7 +71,7 @@ def can_stand(terrain: Terrain, outline: Outline, x: float, y: float, yaw: float
     )
 
 
-@lean
+@njit_no_refcount
 def can_move(
     terrain: Terrain,
     outline: Outline,
@@ -108,7 +108,7 @@ def can_move(
         done = min(length, done + (_STRIDE_M if uneven else max(room, _STRIDE_M)))
 
 
-@lean
+@njit_no_refcount
 def _height(terrain: Terrain, x: float, y: float) -> int:
     """Height of the floor in micrometres at a point; at the edge's cell off the map."""
     rows, cols = terrain.blocked.shape

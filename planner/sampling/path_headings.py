@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.compiled import allocating, lean
+from planner.compiled import njit_arrays, njit_no_refcount
 from planner.lattice.steps import step_cost_um
 from planner.plan import wrap_angle
 from planner.robot_model import StepModel
@@ -101,7 +101,7 @@ def _walking_costs(line: FloatArray, headings: FloatArray, model: StepModel) -> 
     return length[:, None] * walking_rate(model, wrap_angle(direction[:, None] - headings))
 
 
-@lean
+@njit_no_refcount
 def _check(
     terrain: Terrain,
     outline: Outline,
@@ -114,7 +114,7 @@ def _check(
             free[i, h] = can_stand(terrain, outline, line[i, 0], line[i, 1], headings[h])
 
 
-@allocating
+@njit_arrays
 def _cheapest(
     free: NDArray[np.bool_], walk_m: FloatArray, start_m: FloatArray, bin_m: float
 ) -> NDArray[np.int64]:

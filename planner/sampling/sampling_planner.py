@@ -25,7 +25,7 @@ from maps.grid import OccupancyGrid, distance_field
 from planner.collision import Terrain
 from planner.heuristics.heuristic import tables_of
 from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, cost_of
-from planner.lattice.lattice import build_space
+from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import MICRO
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, wrap_angle
@@ -45,9 +45,9 @@ from planner.sampling.path_headings import face_the_way
 from planner.search.ara_star import plan_ara
 from planner.search.first_plan import is_cut_off
 from planner.search.problem import (
+    GoalContext,
     Request,
     Result,
-    Toward,
     failure,
     first_nodes,
     no_first_step,
@@ -115,10 +115,10 @@ def search_window(
         cells=np.zeros(terrain.blocked.shape, np.uint8), resolution_m=terrain.resolution_m
     )
     x_m, y_m = (float(v) for v in goal[:2] - window.corner_m)
-    space = build_space(floor, terrain, model, tables.steps, (x_m, y_m, float(goal[2])))
+    lattice = build_lattice(floor, terrain, model, tables.steps, (x_m, y_m, float(goal[2])))
     result = plan_ara(
         Request(
-            toward=Toward(space=space, model=model, tables=tables),
+            context=GoalContext(lattice=lattice, model=model, tables=tables),
             feet_lattice=into_frame(stance.feet, goal),
             feet_m=stance.feet_m,
             stands=stance.pair_margin_m < model.body_margin_m,
@@ -188,12 +188,12 @@ class Errand:
 
     def cost_um(self, steps: Footsteps) -> int:
         """Cost of steps from the stance to the goal."""
-        return cost_of(self.request.space, self.request.model, self.stance, steps)
+        return cost_of(self.request.lattice, self.request.model, self.stance, steps)
 
 
 def errand_of(request: Request, options: PlannerOptions, began: float) -> Errand:
     """A request as an errand."""
-    x, y, cos, sin = request.space.frame
+    x, y, cos, sin = request.lattice.frame
     goal = np.array([x, y, math.atan2(sin, cos)])
     stance = Stance(
         feet=out_of_frame(request.feet_lattice, goal),
@@ -209,7 +209,7 @@ def follow(errand: Errand, path: FloatArray) -> Footsteps | None:
     request, stance = errand.request, errand.stance
     walked, at = NO_STEPS, 0
     while True:
-        strand = Strand(request.space, request.model, path[at:], stance)
+        strand = Strand(request.lattice, request.model, path[at:], stance)
         rest = strand.to_end()
         if rest is not None:
             return walked.then(rest)
@@ -229,7 +229,7 @@ def _bridge(
 
     Both feet then stand beside that point.
     """
-    model, terrain = errand.request.model, errand.request.space.terrain
+    model, terrain = errand.request.model, errand.request.lattice.terrain
     options = replace(
         errand.options, name="ara", stop_at_first=True, max_expansions=_GAP_EXPANSIONS
     )
@@ -250,10 +250,10 @@ def _bridge(
 def search_along(errand: Errand, path: FloatArray) -> tuple[Footsteps | None, int]:
     """Steps by ARA* in a corridor along a path, if there are any; and the expansions spent."""
     request, expansions = errand.request, 0
-    radius_m = math.hypot(*request.space.body)
+    radius_m = math.hypot(*request.lattice.body)
     options = replace(errand.options, name="ara")
     for room_m in _CORRIDORS_M:
-        window = corridor_along(request.space.terrain, path[:, :2], radius_m + room_m)
+        window = corridor_along(request.lattice.terrain, path[:, :2], radius_m + room_m)
         steps, result = search_window(
             window, request.model, errand.stance, errand.goal, options, errand.began
         )
@@ -279,9 +279,9 @@ def is_shut(request: Request) -> str:
 
 def how_enclosed(request: Request) -> str:
     """What floods of the lattice prove to enclose the start or the goal; empty if unknown."""
-    space = request.space
-    flood = new_flood(space, first_nodes(request)[0], request.toward.ends)
-    flood, verdict = spread(space, flood, _NODES)
+    lattice = request.lattice
+    flood = new_flood(lattice, first_nodes(request)[0], request.context.ends)
+    flood, verdict = spread(lattice, flood, _NODES)
     poses = int(flood.ends[1] + flood.ends[3])
     if verdict is Verdict.GOAL_ENCLOSED:
         return f"{_BEGIN}obstacles leave no steps from outside to the goal ({poses} poses tried)"
@@ -305,8 +305,10 @@ def plan_by_sampling(request: Request, options: PlannerOptions, began: float) ->
         way = _find_way(errand, options.max_expansions)
     if not len(way.corners):
         return _no_plan(errand, way)
-    space = request.space
-    path = dense(face_the_way(space.terrain, outline_of(request.model), request.model, way.corners))
+    lattice = request.lattice
+    path = dense(
+        face_the_way(lattice.terrain, outline_of(request.model), request.model, way.corners)
+    )
     steps, searched, first_s = follow(errand, path), 0, math.inf
     if steps is not None:
         first_s = time.perf_counter() - began
@@ -323,7 +325,7 @@ def plan_by_sampling(request: Request, options: PlannerOptions, began: float) ->
 def _find_way(errand: Errand, most: int) -> BodyWay:
     """A path of the body from where it is, or from near there if it stands too near to walls."""
     request, options = errand.request, errand.options
-    terrain, outline = request.space.terrain, outline_of(request.model)
+    terrain, outline = request.lattice.terrain, outline_of(request.model)
     left, right = errand.stance.feet
     turn = math.remainder(right[2] - left[2], 2 * math.pi)
     pair = np.array([*(left[:2] + right[:2]) / 2, left[2] + turn / 2])

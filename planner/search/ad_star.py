@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import lean
+from planner.compiled import njit_no_refcount
 from planner.heuristics.distance_field import FURTHER_UM, BodyPath, draw_path, ring_on_map
 from planner.heuristics.heuristic import Heuristic, estimates
 from planner.heuristics.wavefront import NOWHERE_UM, Ahead, ahead_of, ahead_um
-from planner.lattice.lattice import Int64s, Space, turned_round
+from planner.lattice.lattice import Int64s, Lattice, turned_round
 from planner.lattice.map_change import Change
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
@@ -29,9 +29,9 @@ from planner.search.ara_star import Run, quick_plan
 from planner.search.best_first import NO_COST, costs_of, trace
 from planner.search.first_plan import NO_WAY
 from planner.search.problem import (
+    GoalContext,
     Request,
     Result,
-    Toward,
     body_cells_of,
     first_nodes,
     found,
@@ -41,39 +41,41 @@ from planner.search.problem import (
 from planner.search.search_task import Task, heuristic_toward_start, new_tree
 
 
-def heuristic_on_the_way(toward: Toward, nodes: Int64s) -> Heuristic:
+def heuristic_on_the_way(context: GoalContext, nodes: Int64s) -> Heuristic:
     """The heuristic toward the goal's own pose where ways from nodes (n,) pass; lower elsewhere.
 
     Outside the ring of the endgame D is the least cost by way of the ring, as in
     `search_body_path`, inside it that of the straight way: there the endgame's table says more.
     """
-    space, tables = toward.space, toward.tables
-    guide, wanted = tables.potential, np.unique(body_cells_of(toward, nodes))
-    goal = np.array([space.origin_row * space.cols + space.origin_col])
+    lattice, tables = context.lattice, context.tables
+    potential, wanted = tables.potential, np.unique(body_cells_of(context, nodes))
+    goal = np.array([lattice.origin_row * lattice.cols + lattice.origin_col])
     path = BodyPath(np.zeros(0, np.int32), NOWHERE_UM)
-    cells, costs_um = ring_on_map(space, tables.endgame)
+    cells, costs_um = ring_on_map(lattice, tables.goal_table)
     if len(cells):
-        path = draw_path(space, guide, cells, costs_um, wanted)
-        _lower_inside(space, path.cost_um, tables.endgame.inside, ahead_of(space, guide, goal))
+        path = draw_path(lattice, potential, cells, costs_um, wanted)
+        _lower_inside(
+            lattice, path.cost_um, tables.goal_table.inside, ahead_of(lattice, potential, goal)
+        )
     if not len(cells) or not np.any(path.cost_um[wanted] > 0):
-        path = draw_path(space, guide, goal, np.array([0]), wanted)
-    return toward.heuristic_by(path)
+        path = draw_path(lattice, potential, goal, np.array([0]), wanted)
+    return context.heuristic_by(path)
 
 
-@lean
+@njit_no_refcount
 def _lower_inside(
-    space: Space, cost_um: NDArray[np.int32], inside: NDArray[np.bool_], ahead: Ahead
+    lattice: Lattice, cost_um: NDArray[np.int32], inside: NDArray[np.bool_], ahead: Ahead
 ) -> None:
     """Puts the straight way in place of costs inside the ring."""
     reach = len(inside) // 2
     for up in range(-reach, reach + 1):
-        row = space.origin_row + up
-        if row < 0 or row >= space.rows:
+        row = lattice.origin_row + up
+        if row < 0 or row >= lattice.rows:
             continue
         for across in range(-reach, reach + 1):
-            col = space.origin_col + across
-            if 0 <= col < space.cols and inside[up + reach, across + reach]:
-                cell = row * space.cols + col
+            col = lattice.origin_col + across
+            if 0 <= col < lattice.cols and inside[up + reach, across + reach]:
+                cell = row * lattice.cols + col
                 cost_um[cell] = ahead_um(ahead, col, row) + 1
 
 
@@ -111,20 +113,20 @@ class KeptTree:
 
     def __init__(self, request: Request) -> None:
         self._final_um = final_cost_um(request.model)
-        self.tree = new_tree(request.space, turned_round(request.space.steps), True)
+        self.tree = new_tree(request.lattice, turned_round(request.lattice.steps), True)
         self.tree.scalars[search.SLACK_UM] = NO_COST
         self.heuristic: Heuristic | None = None
         self.open_um = 0
         self._ahead: Heuristic | None = None
 
-    def graft(self, space: Space, nodes: Int64s) -> None:
+    def graft(self, lattice: Lattice, nodes: Int64s) -> None:
         """Takes the end of a plan (n,), its steps in their order, into the tree."""
         self._make_room(len(nodes))
-        graft(space, self.tree, nodes)
+        graft(lattice, self.tree, nodes)
 
     def look(self, request: Request, nodes: Int64s, costs_um: Int64s) -> View:
         """Turns to a start with these first steps (n,) and their costs."""
-        ends = request.toward.ends
+        ends = request.context.ends
         self._make_room(len(ends))
         search.seed(self.tree, ends, np.full(len(ends), self._final_um))
         order = np.argsort(nodes)
@@ -135,13 +137,13 @@ class KeptTree:
         best = int(tree.scalars[search.BEST_UM])
         if best < NO_COST:
             # Costs may have fallen since along the way: then the plan costs less than it says.
-            self.graft(request.space, self.plan())
+            self.graft(request.lattice, self.plan())
             tree = self.tree
             find_best(tree)
             best = int(tree.scalars[search.BEST_UM])
         least = 0
         if self.heuristic is not None:
-            least = self.open_um - shift_um(request.space, self.heuristic, tree)
+            least = self.open_um - shift_um(request.lattice, self.heuristic, tree)
         return View(best_um=best, least_um=max(0, min(best, least)))
 
     def bounds(self, request: Request, nodes: Int64s, costs_um: Int64s) -> Iterator[int]:
@@ -150,11 +152,11 @@ class KeptTree:
         A heuristic toward the goal holds for every start; it says less of those that lie apart from
         the way that it was made for.
         """
-        toward = request.toward
+        context = request.context
         if self._ahead is not None:
             yield _least(request, self._ahead, nodes, costs_um)
-        is_point = toward.region.is_point
-        self._ahead = heuristic_on_the_way(toward, nodes) if is_point else toward.heuristic
+        is_point = context.region.is_point
+        self._ahead = heuristic_on_the_way(context, nodes) if is_point else context.heuristic
         yield _least(request, self._ahead, nodes, costs_um)
 
     def plan(self) -> Int64s:
@@ -177,22 +179,22 @@ class KeptTree:
         self.heuristic = heuristic_toward_start(request, tree.goals, tree.goal_um, further_um)
         self.open_um = 0
         return Task(
-            space=request.space,
+            lattice=request.lattice,
             heuristic=self.heuristic,
             steps=tree.steps,
             is_backward=True,
-            roots=request.toward.ends,
-            root_um=np.full(len(request.toward.ends), self._final_um),
+            roots=request.context.ends,
+            root_um=np.full(len(request.context.ends), self._final_um),
             goals=tree.goals,
             goal_um=tree.goal_um,
         )
 
-    def mend(self, space: Space, change: Change) -> None:
+    def mend(self, lattice: Lattice, change: Change) -> None:
         """Goes over to the lattice after a change of the map."""
-        removed = cut(space, self.tree, change.shut)
+        removed = cut(lattice, self.tree, change.shut)
         renew(self.tree)
         # Where nothing became cheaper only what was cut off has to be reached another way.
-        again = border(space, self.tree, removed, change.freed)
+        again = border(lattice, self.tree, removed, change.freed)
         self._make_room(len(again))
         reopen(self.tree, again)
         if len(change.freed):
@@ -200,7 +202,7 @@ class KeptTree:
             self.heuristic, self._ahead, self.open_um = None, None, 0
         elif self.heuristic is not None and len(again):
             nodes = again.astype(np.int64)
-            values_um = estimates(space, self.heuristic, nodes)
+            values_um = estimates(lattice, self.heuristic, nodes)
             least_um = int((costs_of(self.tree, nodes) + values_um).min())
             self.open_um = min(self.open_um, least_um)
 
@@ -210,13 +212,13 @@ class KeptTree:
 
 
 def _least(request: Request, heuristic: Heuristic, nodes: Int64s, costs_um: Int64s) -> int:
-    return int((costs_um + estimates(request.space, heuristic, nodes)).min())
+    return int((costs_um + estimates(request.lattice, heuristic, nodes)).min())
 
 
 def _least_by_path(request: Request, heuristic: Heuristic, nodes: Int64s, costs_um: Int64s) -> int:
     """The same by the path of the body alone."""
-    rows = nodes % (2 * request.space.headings)
-    path_um = heuristic.cost_um[body_cells_of(request.toward, nodes)].astype(np.int64) - 1
+    rows = nodes % (2 * request.lattice.headings)
+    path_um = heuristic.cost_um[body_cells_of(request.context, nodes)].astype(np.int64) - 1
     return int((costs_um + np.maximum(path_um, 0) + heuristic.potential_um[rows]).min())
 
 
@@ -228,7 +230,7 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     nodes, costs_um = first_nodes(request)
     if not len(nodes):
         return no_first_step(request)
-    memory, expansions, least_um = request.toward.memory, 0, 0
+    memory, expansions, least_um = request.context.memory, 0, 0
     wanted = options.epsilon
     kept = memory.get(_NAME)
     is_first = kept is None
@@ -242,7 +244,7 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
         if quick is NO_WAY:
             return no_way()
         if quick is not None:
-            kept.graft(request.space, quick.nodes)
+            kept.graft(request.lattice, quick.nodes)
             expansions, least_um = quick.expansions, quick.least_um
             view = kept.look(request, nodes, costs_um)
     least_um = max(least_um, view.least_um)

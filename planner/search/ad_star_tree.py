@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import BITS, allocating, lean, slot_of, take_slot
+from planner.compiled import BITS, njit_arrays, njit_no_refcount, slot_of, take_slot
 from planner.heuristics.heuristic import Heuristic, estimate
 from planner.lattice.lattice import (
     COST_UM,
     D_HALF,
     D_NODE,
     HALF_HEADING,
-    Space,
+    Lattice,
     clearance_cost,
     half_clearance,
     may_end_at,
@@ -33,7 +33,7 @@ from planner.search.best_first import BUCKETS, FROM_START, NO_COST, Tree
 _NOT_ALLOWED = -1
 
 
-@lean
+@njit_no_refcount
 def find_best(tree: Tree) -> None:
     """Notes the goal of the tree that gives the cheapest plan, if the tree has come to any."""
     scalars = tree.scalars
@@ -45,47 +45,51 @@ def find_best(tree: Tree) -> None:
             scalars[search.BEST_NODE] = tree.goals[i]
 
 
-@lean
-def shift_um(space: Space, heuristic: Heuristic, tree: Tree) -> int:
+@njit_no_refcount
+def shift_um(lattice: Lattice, heuristic: Heuristic, tree: Tree) -> int:
     """By how much a heuristic must be lowered to hold for the first steps that are the goals."""
     shift = -NO_COST
     for i in range(len(tree.goals)):
-        value = estimate(space, heuristic, tree.goals[i]) - tree.goal_um[i]
+        value = estimate(lattice, heuristic, tree.goals[i]) - tree.goal_um[i]
         shift = max(shift, value)
     return shift
 
 
-@lean
-def step_um(space: Space, tree: Tree, node: int, to: int) -> int:
+@njit_no_refcount
+def step_um(lattice: Lattice, tree: Tree, node: int, to: int) -> int:
     """Cost of the step of the tree that joins two nodes; below 0 where it is not allowed."""
-    row, cell = node % (2 * space.headings), node // (2 * space.headings)
+    row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
     steps = tree.steps
     for k in range(steps.shape[1]):
         if steps[row, k, COST_UM] == 0 or steps[row, k, D_NODE] != to - node:
             continue
-        if not node_free(space, to):
+        if not node_free(lattice, to):
             return _NOT_ALLOWED
-        half = cell // space.cols * 4 * space.cols + cell % space.cols * 2 + steps[row, k, D_HALF]
-        if not pair_known_free(space, half, steps[row, k, HALF_HEADING]):
+        half = (
+            cell // lattice.cols * 4 * lattice.cols
+            + cell % lattice.cols * 2
+            + steps[row, k, D_HALF]
+        )
+        if not pair_known_free(lattice, half, steps[row, k, HALF_HEADING]):
             return _NOT_ALLOWED
-        if len(space.node_um) > 0:
+        if len(lattice.node_um) > 0:
             support, swing = (to, node) if tree.is_backward else (node, to)
-            if not step_climbs(space, support, swing):
+            if not step_climbs(lattice, support, swing):
                 return _NOT_ALLOWED
-        extra = clearance_cost(space, half_clearance(space, half))
+        extra = clearance_cost(lattice, half_clearance(lattice, half))
         return steps[row, k, COST_UM] + extra
     return _NOT_ALLOWED
 
 
-@lean
-def graft(space: Space, tree: Tree, nodes: NDArray[np.int64]) -> None:
+@njit_no_refcount
+def graft(lattice: Lattice, tree: Tree, nodes: NDArray[np.int64]) -> None:
     """Lowers the costs of a way's nodes (n,), in the order of the steps, to what it costs.
 
     Those that fall are open again.
     """
     for i in range(len(nodes) - 1, 0, -1):
         node, to = nodes[i], nodes[i - 1]
-        cost = np.int64(tree.cost_um[slot_of(tree.slots, node)]) + step_um(space, tree, node, to)
+        cost = np.int64(tree.cost_um[slot_of(tree.slots, node)]) + step_um(lattice, tree, node, to)
         slot = take_slot(tree.slots, to)
         known = np.int64(tree.cost_um[slot])
         if known == 0 or cost < known:
@@ -94,7 +98,7 @@ def graft(space: Space, tree: Tree, nodes: NDArray[np.int64]) -> None:
             search.put(tree, to, BUCKETS)
 
 
-@allocating
+@njit_arrays
 def renew(tree: Tree) -> None:
     """Counts rounds from 0 again, and drops entries of nodes that are not open or not known."""
     scalars, head = tree.scalars, tree.head
@@ -125,7 +129,7 @@ def renew(tree: Tree) -> None:
         tree.round[slot_of(tree.slots, kept[i])] = 0
 
 
-@lean
+@njit_no_refcount
 def reopen(tree: Tree, nodes: NDArray[np.int32]) -> None:
     """Makes known nodes (n,) open; there must be room for them."""
     for i in range(len(nodes)):
@@ -136,10 +140,10 @@ Nodes = NDArray[np.int32]
 _MARK = 255  # of `Tree.round`, which no round has
 
 
-@allocating
-def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
+@njit_arrays
+def cut(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
     """Takes out of the tree what a change near some cells (n,) cuts off; the nodes taken out."""
-    rows = 2 * space.headings
+    rows = 2 * lattice.headings
     removed = np.empty(1 << 10, np.int32)
     number = 0
     for i in range(len(cells)):
@@ -147,7 +151,7 @@ def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
             node: int = cells[i] * rows + row
             slot = slot_of(tree.slots, node)
             known: int = np.int64(tree.cost_um[slot])  # type: ignore[assignment]
-            if known == 0 or _stands(space, tree, node, known):
+            if known == 0 or _stands(lattice, tree, node, known):
                 continue
             removed = _with_room(removed, number)
             removed[number] = node
@@ -171,8 +175,8 @@ def cut(space: Space, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
     return removed[:number]
 
 
-@lean
-def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
+@njit_no_refcount
+def _stands(lattice: Lattice, tree: Tree, node: int, known: int) -> bool:
     """Whether a node can still be reached from the one before it, and for no more.
 
     That one may have been cut off itself, and the node then follows it.
@@ -180,17 +184,17 @@ def _stands(space: Space, tree: Tree, node: int, known: int) -> bool:
     slot = slot_of(tree.slots, node)
     before: int = np.int64(tree.before[slot])  # type: ignore[assignment]
     if before == FROM_START:
-        return may_end_at(space, node)
+        return may_end_at(lattice, node)
     cost_before_um = tree.cost_um[slot_of(tree.slots, before)]
     if cost_before_um == 0:
         return True
-    cost = step_um(space, tree, before, node)
+    cost = step_um(lattice, tree, before, node)
     return cost >= 0 and cost_before_um + cost <= known
 
 
-@allocating
+@njit_arrays
 def border(
-    space: Space,
+    lattice: Lattice,
     tree: Tree,
     removed: Nodes,
     cells: NDArray[np.int64],
@@ -199,12 +203,12 @@ def border(
 
     Rounds must have been counted anew (see `graft.renew`).
     """
-    rows, steps = 2 * space.headings, space.steps
+    rows, steps = 2 * lattice.headings, lattice.steps
     found = np.empty(1 << 10, np.int32)
     number = 0
     for i in range(len(removed)):
         node: int = np.int64(removed[i])  # type: ignore[assignment]
-        if not node_free(space, node):
+        if not node_free(lattice, node):
             continue
         row = node % rows
         # The tree grows from the goal, so the steps of the robot lead back in it.
@@ -223,7 +227,7 @@ def border(
             slot = slot_of(tree.slots, node)
             if tree.cost_um[slot] == 0 or tree.round[slot] == _MARK:
                 continue
-            if _may_lower(space, tree, node, tree.cost_um[slot]):
+            if _may_lower(lattice, tree, node, tree.cost_um[slot]):
                 tree.round[slot] = _MARK
                 found = _with_room(found, number)
                 found[number] = node
@@ -233,22 +237,22 @@ def border(
     return found[:number]
 
 
-@lean
-def _may_lower(space: Space, tree: Tree, node: int, cost_um: int) -> bool:
+@njit_no_refcount
+def _may_lower(lattice: Lattice, tree: Tree, node: int, cost_um: int) -> bool:
     """Whether a step from a node would come to a free one that is not known, or is for less."""
-    row = node % (2 * space.headings)
+    row = node % (2 * lattice.headings)
     for k in range(tree.steps.shape[1]):
         if tree.steps[row, k, COST_UM] == 0:
             continue
         to = node + tree.steps[row, k, D_NODE]
         old = np.int64(tree.cost_um[slot_of(tree.slots, to)])
         is_lower = old == 0 or cost_um + tree.steps[row, k, COST_UM] < old
-        if is_lower and node_free(space, to):
+        if is_lower and node_free(lattice, to):
             return True
     return False
 
 
-@allocating
+@njit_arrays
 def _with_room(nodes: Nodes, used: int) -> Nodes:
     """The array, twice as long once it is full."""
     if used < len(nodes):

@@ -50,21 +50,21 @@ def sharpened(
 
     None where the grid would be too large, or as soon as go_on says so.
     """
-    space, tables = task.space, request.toward.tables
+    lattice, tables = task.lattice, request.context.tables
     # Most steps are whole cells, and what is a whole number of the grid's as well is not rounded.
-    spacing_m = math.ceil(_SPACING_M / space.cell_m - 1e-9) * space.cell_m
+    spacing_m = math.ceil(_SPACING_M / lattice.cell_m - 1e-9) * lattice.cell_m
     behind = heuristic_toward_start(request, task.roots, task.root_um)
     start_um = np.where(
         behind.cost_um > 0, behind.cost_um - 1 + int(behind.potential_um.min()), NOWHERE_UM
     )
     steps = rounded_steps(request.model, tables.steps, tables.potential, spacing_m)
     rounded = rounded_costs(
-        space, request.model, steps, spacing_m, request.toward.ends, start_um, limit_um, go_on
+        lattice, request.model, steps, spacing_m, request.context.ends, start_um, limit_um, go_on
     )
     if rounded is None:
         return None
     # The bound by the rim of a circle adds nothing to this one: all is within the circle.
-    everywhere = space.cols + space.rows
+    everywhere = lattice.cols + lattice.rows
     heuristic = task.heuristic._replace(rounded=rounded, radius_cells=everywhere)
     return replace(task, heuristic=heuristic)
 
@@ -198,11 +198,11 @@ class Run:
         """How the search went, if that is asked."""
         if not self.options.record:
             return None
-        space = self.task.space
-        done = expanded_in_cells(space, self.tree)
+        lattice = self.task.lattice
+        done = expanded_in_cells(lattice, self.tree)
         cell = np.flatnonzero(done)
-        x_m = (cell % space.cols - space.origin_col) * space.cell_m
-        y_m = (cell // space.cols - space.origin_row) * space.cell_m
+        x_m = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
+        y_m = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m
         moments = np.array(self._moments).reshape(-1, 3)
         return SearchRecord(
             time_s=moments[:, 0],
@@ -231,7 +231,7 @@ class Run:
 
     def _round(self, epsilon: float) -> bool:
         """One search with a weight; whether another one may follow."""
-        space, heuristic = self.task.space, self.task.heuristic
+        lattice, heuristic = self.task.lattice, self.task.heuristic
         self._begin_round(epsilon)
         self._note_moment(self._best_um)
         if self.proven <= self.options.final_epsilon:
@@ -239,7 +239,7 @@ class Run:
         while True:
             if self._may_sharpen(epsilon) and self._sharpen():
                 return True
-            outcome = search.expand(space, heuristic, self.tree, epsilon, self._budget())
+            outcome = search.expand(lattice, heuristic, self.tree, epsilon, self._budget())
             if outcome == search.OUT_OF_ENTRIES:
                 self.tree = search.with_more_entries(self.tree)
             elif outcome == search.IMPROVED:
@@ -258,7 +258,7 @@ class Run:
                 return False
 
     def _may_sharpen(self, epsilon: float) -> bool:
-        blunt = 0 if self.request.toward.coarse is not None else _BLUNT
+        blunt = 0 if self.request.context.coarse is not None else _BLUNT
         return (
             epsilon == 1.0
             and self.options.heuristic == FULL
@@ -281,14 +281,14 @@ class Run:
         if self._may_be_enclosed() and self._expansions >= _PATIENCE:
             if self._flood is None:
                 self._flood = self._new_flood()
-            self._flood, self.verdict = spread(self.task.space, self._flood, self._flood_turn)
+            self._flood, self.verdict = spread(self.task.lattice, self._flood, self._flood_turn)
             self._flood_turn = min(2 * self._flood_turn, _FLOOD_TURN_MOST)
         return self.verdict in _ENCLOSED
 
     def _new_flood(self) -> Flood:
         task = self.task
         ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
-        return new_flood(task.space, *ends)
+        return new_flood(task.lattice, *ends)
 
     def _may_be_enclosed(self) -> bool:
         return self.verdict is Verdict.OPEN and self._best_um == search.NO_COST
@@ -300,8 +300,8 @@ class Run:
 
     def _begin_round(self, epsilon: float) -> None:
         """Orders the open states anew, and takes over what the least g + h of all proves."""
-        space, heuristic = self.task.space, self.task.heuristic
-        self.least_um = int(search.begin_round(space, heuristic, self.tree, epsilon))
+        lattice, heuristic = self.task.lattice, self.task.heuristic
+        self.least_um = int(search.begin_round(lattice, heuristic, self.tree, epsilon))
         self.open_um = max(self.open_um, self.least_um)
         best = self._best_um
         if best < search.NO_COST:
@@ -396,13 +396,13 @@ def plan_on_coarse(
         quick = run.best()
     if quick is None:
         return None
-    if request.toward.region.is_point:
+    if request.context.region.is_point:
         least_um = least_straight(request, nodes, costs_um)
     else:
         least_um = least_toward_goal(request, nodes, costs_um)
     return replace(
         quick,
-        nodes=on_fine(coarse.space, request.space, quick.nodes),
+        nodes=on_fine(coarse.lattice, request.lattice, quick.nodes),
         least_um=min(quick.cost_um, least_um),
     )
 
@@ -417,12 +417,12 @@ def quick_plan(
     Where more than the first plan is wanted and the goal is a region there is none: effort would go
     into improving a plan to its middle, the dearest end to come to.
     """
-    toward = request.toward
-    if toward.region.is_point:
+    context = request.context
+    if context.region.is_point:
         return quick_path(request, nodes, costs_um, options)
     if not options.stop_at_first:
         return None
-    if not np.all(np.isin(toward.goal_nodes, toward.ends)):
+    if not np.all(np.isin(context.goal_nodes, context.ends)):
         return None
     quick = quick_path(request, nodes, costs_um, options)
     if quick is None or quick is NO_WAY:

@@ -19,7 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import clearance_at
-from planner.compiled import BITS, LOW, Slots, allocating, lean, next_block, slot_of, take_slot
+from planner.compiled import (
+    BITS,
+    LOW,
+    Slots,
+    next_block,
+    njit_arrays,
+    njit_no_refcount,
+    slot_of,
+    take_slot,
+)
 from planner.heuristics.heuristic import Heuristic, estimate
 from planner.heuristics.rounded_plans import rounded_bound
 from planner.heuristics.turning import exit_bound
@@ -36,7 +45,7 @@ from planner.lattice.lattice import (
     TO_ROW,
     UNKNOWN,
     Int64s,
-    Space,
+    Lattice,
     check_node,
     clearance_cost,
     far_from_all,
@@ -74,24 +83,24 @@ class Places(NamedTuple):
 EVERY_STATE = Places(np.zeros(0, np.int64), np.zeros(0, np.int32), 1, 1)
 
 
-def places_of(space: Space, most: int) -> Places:
+def places_of(lattice: Lattice, most: int) -> Places:
     """Places of a lattice, nothing expanded in any, for at most so many expansions."""
-    cells = max(1, round(_SIZE_M / space.cell_m))
-    headings = max(1, round(_SIZE_RAD / (2 * math.pi) * space.headings))
+    cells = max(1, round(_SIZE_M / lattice.cell_m))
+    headings = max(1, round(_SIZE_RAD / (2 * math.pi) * lattice.headings))
     room = 1 << (2 * most).bit_length()
     return Places(np.zeros(room, np.int64), np.zeros(room, np.int32), cells, headings)
 
 
-@lean
-def takes_place(space: Space, places: Places, node: int, estimate_um: int) -> bool:
+@njit_no_refcount
+def takes_place(lattice: Lattice, places: Places, node: int, estimate_um: int) -> bool:
     """Whether the node has clearly less before it than those expanded in its place, which it notes.
 
     estimate_um: what is before it.
     """
-    row, cell = node % (2 * space.headings), node // (2 * space.headings)
-    across = (space.cols + places.cells - 1) // places.cells
-    turns = (space.headings + places.headings - 1) // places.headings
-    place = cell // space.cols // places.cells * across + cell % space.cols // places.cells
+    row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
+    across = (lattice.cols + places.cells - 1) // places.cells
+    turns = (lattice.headings + places.headings - 1) // places.headings
+    place = cell // lattice.cols // places.cells * across + cell % lattice.cols // places.cells
     number = (place * turns + row // 2 // places.headings) * 2 + row % 2 + 1
     last = len(places.number) - 1
     at = (number * 0x9E3779B1 >> 7) & last
@@ -120,7 +129,7 @@ _NO_KEY = 1 << 40
 class Tree(NamedTuple):
     """State of a search, kept between calls of `expand`.
 
-    steps: `Space.steps` for a search from the start; for one from the goal the same turned round,
+    steps: `Lattice.steps` for a search from the start; for one from the goal the same turned round,
     and `is_backward`. slots: those of the space; kept there are cost_um: cost of a node from the
     roots, 0 where none is known; before: the node that it was reached from, FROM_START for a root;
     round: number of the search that expanded it. entry_node, entry_next: stacks of the buckets;
@@ -148,7 +157,7 @@ class Tree(NamedTuple):
     places: Places
 
 
-@lean
+@njit_no_refcount
 def _push(tree: Tree, node: int, key_um: int) -> None:
     scalars = tree.scalars
     bucket = (key_um - scalars[BASE_UM]) >> scalars[SHIFT]
@@ -157,7 +166,7 @@ def _push(tree: Tree, node: int, key_um: int) -> None:
     put(tree, node, bucket)
 
 
-@lean
+@njit_no_refcount
 def put(tree: Tree, node: int, bucket: int) -> None:
     """Adds an entry for a node to a bucket; there must be room for it."""
     scalars = tree.scalars
@@ -172,7 +181,7 @@ def put(tree: Tree, node: int, bucket: int) -> None:
     tree.head[bucket] = entry
 
 
-@lean
+@njit_no_refcount
 def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> None:
     """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
     for i in range(len(nodes)):
@@ -186,7 +195,7 @@ def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> N
             _offer(tree, node, cost)
 
 
-@lean
+@njit_no_refcount
 def _offer(tree: Tree, node: int, cost_um: int) -> bool:
     """Takes the node for the end of the plan if it is one of the goals and the best so far."""
     scalars, goals = tree.scalars, tree.goals
@@ -200,14 +209,14 @@ def _offer(tree: Tree, node: int, cost_um: int) -> bool:
     return True
 
 
-@lean
+@njit_no_refcount
 def _limit_um(scalars: NDArray[np.int64]) -> int:
     """What a state's cost and heuristic must stay below for the state to be kept."""
     return min(scalars[BEST_UM] + scalars[SLACK_UM], NO_COST)
 
 
-@allocating
-def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
+@njit_arrays
+def begin_round(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
     """Moves OPEN and INCONS into fresh buckets for a weight epsilon.
 
     Returns the least g + h of any open state: no plan that is still to be found costs less.
@@ -225,11 +234,11 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
         while entry >= 0:
             node = tree.entry_node[entry]
             entry = tree.entry_next[entry]
-            slot = slot_of(space.slots, node)
+            slot = slot_of(lattice.slots, node)
             stale = bucket < BUCKETS and tree.round[slot] == scalars[ROUND] - 1
             if stale or tree.round[slot] == queued:
                 continue
-            value = estimate(space, heuristic, node)
+            value = estimate(lattice, heuristic, node)
             if tree.cost_um[slot] + value >= limit_um:
                 continue
             tree.round[slot] = queued
@@ -239,7 +248,7 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     scalars[CURSOR] = BUCKETS
     least, low, high = _NO_KEY, _NO_KEY, 0
     for i in range(number):
-        value, cost = values_um[i], tree.cost_um[slot_of(space.slots, nodes[i])]
+        value, cost = values_um[i], tree.cost_um[slot_of(lattice.slots, nodes[i])]
         least = min(least, cost + value)
         low = min(low, cost + int(epsilon * value))
         high = max(high, cost + int(epsilon * value))
@@ -250,16 +259,16 @@ def begin_round(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) 
     while (span >> scalars[SHIFT]) >= BUCKETS - 1:
         scalars[SHIFT] += 1
     for i in range(number - 1, -1, -1):
-        cost = tree.cost_um[slot_of(space.slots, nodes[i])]
+        cost = tree.cost_um[slot_of(lattice.slots, nodes[i])]
         _push(tree, nodes[i], cost + int(epsilon * values_um[i]))
     return least
 
 
-@lean
-def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
+@njit_no_refcount
+def expand(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
     """Expands states until this round's search is over, the plan improves or budget is spent."""
     scalars, head, rounds = tree.scalars, tree.head, tree.round
-    of_block = space.slots.of_block
+    of_block = lattice.slots.of_block
     entry_node, entry_next = tree.entry_node, tree.entry_next
     limit = scalars[EXPANSIONS] + budget
     room = len(entry_node) - tree.steps.shape[1] - 1
@@ -277,7 +286,7 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
         if scalars[USED] > room:
             return OUT_OF_ENTRIES
         if cursor == BUCKETS - 1:
-            _widen(space, heuristic, tree, epsilon)
+            _widen(lattice, heuristic, tree, epsilon)
             cursor = scalars[CURSOR]
             continue
         entry = head[cursor]
@@ -291,17 +300,17 @@ def expand(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, budge
             continue
         rounds[slot] = scalars[ROUND]
         if len(tree.places.least_um) > 0:
-            value = estimate(space, heuristic, node)
-            if not takes_place(space, tree.places, node, value):
+            value = estimate(lattice, heuristic, node)
+            if not takes_place(lattice, tree.places, node, value):
                 continue
         scalars[EXPANSIONS] += 1
-        if _expand_node(space, heuristic, tree, epsilon, node, slot):
+        if _expand_node(lattice, heuristic, tree, epsilon, node, slot):
             return IMPROVED
         cursor = scalars[CURSOR]
 
 
-@allocating
-def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
+@njit_arrays
+def _widen(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
     """Doubles the buckets' width once only the last is in use, which holds every higher key.
 
     Without it the states there would be searched newest first, whatever they cost.
@@ -321,43 +330,43 @@ def _widen(space: Space, heuristic: Heuristic, tree: Tree, epsilon: float) -> No
     scalars[CURSOR] = BUCKETS
     scalars[SHIFT] += 1
     for i in range(ends[1] - 1, -1, -1):
-        slot = slot_of(space.slots, nodes[i])
+        slot = slot_of(lattice.slots, nodes[i])
         if tree.round[slot] != scalars[ROUND]:
-            value = estimate(space, heuristic, nodes[i])
+            value = estimate(lattice, heuristic, nodes[i])
             _push(tree, nodes[i], tree.cost_um[slot] + int(epsilon * value))
     for i in range(ends[2] - 1, ends[1] - 1, -1):
         put(tree, nodes[i], BUCKETS)
 
 
-@lean
+@njit_no_refcount
 def _expand_node(
-    space: Space, heuristic: Heuristic, tree: Tree, epsilon: float, node: int, slot: int
+    lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, node: int, slot: int
 ) -> bool:
     """Relaxes all steps from a node in a slot; whether a better plan came of it."""
     # Arrays in local names: taken from the tuples in the loop they cost more than the loop itself.
     scalars, cost_um, rounds = tree.scalars, tree.cost_um, tree.round
-    steps, node_state, before = tree.steps, space.node_state, tree.before
-    of_block, used = space.slots.of_block, space.slots.used
-    clearance_m, size_m = space.terrain.clearance_m, space.terrain.resolution_m
-    (ox, oy, cos, sin), cell_m = space.frame, space.cell_m
-    turn_cos, turn_sin = space.cos, space.sin
+    steps, node_state, before = tree.steps, lattice.node_state, tree.before
+    of_block, used = lattice.slots.of_block, lattice.slots.used
+    clearance_m, size_m = lattice.terrain.clearance_m, lattice.terrain.resolution_m
+    (ox, oy, cos, sin), cell_m = lattice.frame, lattice.cell_m
+    turn_cos, turn_sin = lattice.cos, lattice.sin
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
     endgame_um = heuristic.endgame_um
     detour_um, turn_um, rim = heuristic.detour_um, heuristic.turn_um, heuristic.rim
-    circle = heuristic.radius_cells, space.cols, space.origin_col, space.origin_row
-    radii_m = radius_of(space.foot), radius_of(space.body)
+    circle = heuristic.radius_cells, lattice.cols, lattice.origin_col, lattice.origin_row
+    radii_m = radius_of(lattice.foot), radius_of(lattice.body)
     round_now = scalars[ROUND]
     here = np.int64(cost_um[slot])
-    cell = node // (2 * space.headings)
-    row = node - cell * 2 * space.headings
-    inward_m = (1 - 2 * (row & 1)) * space.half_stance_m
-    up = cell // space.cols
-    across = cell - up * space.cols
-    half_base = up * 4 * space.cols + across * 2
-    across, up = across - space.origin_col, up - space.origin_row
+    cell = node // (2 * lattice.headings)
+    row = node - cell * 2 * lattice.headings
+    inward_m = (1 - 2 * (row & 1)) * lattice.half_stance_m
+    up = cell // lattice.cols
+    across = cell - up * lattice.cols
+    half_base = up * 4 * lattice.cols + across * 2
+    across, up = across - lattice.origin_col, up - lattice.origin_row
     reach = len(endgame_um) // 2
-    uneven = len(space.node_um) > 0
+    uneven = len(lattice.node_um) > 0
     rounded = heuristic.rounded
     is_rounded = len(rounded.cost_um) > 0
     improved, limit_um = False, _limit_um(scalars)
@@ -384,7 +393,7 @@ def _expand_node(
             foot = ox + cos * x - sin * y, oy + sin * x + cos * y
             turn = turn_cos[to_row & ~1], turn_sin[to_row & ~1]
             if uneven or not far_from_all(clearance_m, size_m, foot, turn, inward_m, radii_m):
-                state = check_node(space, to, at)
+                state = check_node(lattice, to, at)
             else:
                 node_state[at] = state = FREE
         if state == BLOCKED:
@@ -415,14 +424,14 @@ def _expand_node(
         clear_m = clearance_at(clearance_m, size_m, x, y)
         if clear_m <= radii_m[1]:
             half = half_base + steps[row, k, D_HALF]
-            if not pair_free(space, half, steps[row, k, HALF_HEADING]):
+            if not pair_free(lattice, half, steps[row, k, HALF_HEADING]):
                 continue
         if uneven:
             support, swing = (to, node) if tree.is_backward else (node, to)
-            if not step_climbs(space, support, swing):
+            if not step_climbs(lattice, support, swing):
                 continue
-        if clear_m < space.clearance[0]:
-            cost += clearance_cost(space, clear_m)
+        if clear_m < lattice.clearance[0]:
+            cost += clearance_cost(lattice, clear_m)
             if (old != 0 and cost >= old) or cost + value >= limit_um:
                 continue
         cost_um[at] = cost
@@ -450,7 +459,7 @@ def with_more_entries(tree: Tree) -> Tree:
 # What is read from a search tree, compiled.
 
 
-@allocating
+@njit_arrays
 def trace(tree: Tree, node: int) -> Int64s:
     """Nodes (n,) from a root to a node, both included."""
     number = 0
@@ -467,7 +476,7 @@ def trace(tree: Tree, node: int) -> Int64s:
     return path
 
 
-@allocating
+@njit_arrays
 def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
     """Costs of nodes (n,) in micrometres, 0 where none is known."""
     costs_um = np.empty(len(nodes), np.int64)
@@ -476,11 +485,11 @@ def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
     return costs_um
 
 
-@allocating
-def expanded_in_cells(space: Space, tree: Tree) -> Int64s:
+@njit_arrays
+def expanded_in_cells(lattice: Lattice, tree: Tree) -> Int64s:
     """How many nodes were expanded in each of the lattice's cells (rows * cols,)."""
-    done = np.zeros(space.cols * space.rows, np.int64)
-    of_block, rows = tree.slots.of_block, 2 * space.headings
+    done = np.zeros(lattice.cols * lattice.rows, np.int64)
+    of_block, rows = tree.slots.of_block, 2 * lattice.headings
     for node in range(len(done) * rows):
         if of_block[node // (LOW + 1)] and tree.round[slot_of(tree.slots, node)]:
             done[node // rows] += 1

@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.heuristics.heuristic import tables_of
 from planner.heuristics.turning import straight_cost
-from planner.lattice.lattice import Int64s, Space, node_free
+from planner.lattice.lattice import Int64s, Lattice, node_free
 from planner.robot_model import StepModel
 from planner.search.problem import Request, body_cells_of
 
@@ -36,11 +36,11 @@ def coarse_model(model: StepModel) -> StepModel | None:
 
 def on_coarse(request: Request) -> Request | None:
     """The request on the coarse lattice, if there is one."""
-    coarse = request.toward.coarse
-    return None if coarse is None else replace(request, toward=coarse)
+    coarse = request.context.coarse
+    return None if coarse is None else replace(request, context=coarse)
 
 
-def on_fine(coarse: Space, fine: Space, nodes: Int64s) -> Int64s:
+def on_fine(coarse: Lattice, fine: Lattice, nodes: Int64s) -> Int64s:
     """Nodes (n,) of the fine lattice that are those (n,) of the coarse one."""
     times = round(coarse.cell_m / fine.cell_m)
     rows = 2 * fine.headings
@@ -58,10 +58,10 @@ def least_straight(request: Request, nodes: Int64s, costs_um: Int64s) -> int:
 
     nodes (n,), costs_um (n,): first steps.
     """
-    space, tables = request.space, request.toward.tables
-    cells = body_cells_of(request.toward, nodes)
-    across = cells % space.cols - space.origin_col
-    up = cells // space.cols - space.origin_row
+    lattice, tables = request.lattice, request.context.tables
+    cells = body_cells_of(request.context, nodes)
+    across = cells % lattice.cols - lattice.origin_col
+    up = cells // lattice.cols - lattice.origin_row
     potential_um = tables.potential.potential_um.reshape(-1)
     straight_um = straight_cost(across, up, tables.potential)
     return int((costs_um + straight_um + potential_um[nodes % len(potential_um)]).min())

@@ -56,10 +56,10 @@ def is_cut_off(request: Request, nodes: Int64s) -> bool:
 
     nodes (n,): first steps. A region is never said to be cut off.
     """
-    if not request.toward.region.is_point:
+    if not request.context.region.is_point:
         return False
-    cells = np.unique(body_cells_of(request.toward, nodes))
-    path = path_toward(request.space, request.toward.tables.potential, cells, margin_moves=0)
+    cells = np.unique(body_cells_of(request.context, nodes))
+    path = path_toward(request.lattice, request.context.tables.potential, cells, margin_moves=0)
     return not path.reaches_any(cells)
 
 
@@ -70,21 +70,21 @@ def quick_path(
 
     NO_WAY where no path of the body leads to the goal's own pose.
     """
-    space, guide = request.space, request.toward.tables.potential
-    bodies = body_cells_of(request.toward, nodes)
+    lattice, potential = request.lattice, request.context.tables.potential
+    bodies = body_cells_of(request.context, nodes)
     cells = np.unique(bodies)
     # With room to walk ahead steps can follow it nearly always.
-    roomy = replace(guide, reach_m=max(space.body[1], guide.reach_m))
-    wide = path_toward(space, roomy, cells)
+    roomy = replace(potential, reach_m=max(lattice.body[1], potential.reach_m))
+    wide = path_toward(lattice, roomy, cells)
     is_wide = wide.reaches_any(cells)
-    if not is_wide and wide.is_large and not leads_to_goal(space, guide, cells):
+    if not is_wide and wide.is_large and not leads_to_goal(lattice, potential, cells):
         return NO_WAY
-    values_um = costs_um + guide.potential_um.reshape(-1)[nodes % (2 * space.headings)]
+    values_um = costs_um + potential.potential_um.reshape(-1)[nodes % (2 * lattice.headings)]
     least_um = least_straight(request, nodes, costs_um)
     # Where the wide path is as short as the straight way there is nothing more to know.
     if not is_wide or least_um < (values_um + wide.least_um(bodies)).min():
         # Beside a wide path this one says only what any plan costs at least: that takes no margin.
-        path = path_toward(space, guide, cells, margin_moves=0 if is_wide else MARGIN_MOVES)
+        path = path_toward(lattice, potential, cells, margin_moves=0 if is_wide else MARGIN_MOVES)
         if not path.reaches_any(cells):
             return NO_WAY
         least_um = int((values_um + path.least_um(bodies)).min())
@@ -93,7 +93,7 @@ def quick_path(
         quick = _along(request, wide, nodes, costs_um, options, _TRIES[:2], quick)
         if len(quick.nodes):
             return quick
-        path = path_toward(space, guide, cells)
+        path = path_toward(lattice, potential, cells)
     quick = _along(request, path, nodes, costs_um, options, _TRIES, quick)
     return quick if len(quick.nodes) else None
 
@@ -110,12 +110,12 @@ def _along(
     """A plan along a strip, with the expansions so far; without nodes if none is found."""
     task, expansions = _task_in(request, strip, nodes, costs_um), so_far.expansions
     for epsilon, budget, by_places in tries:
-        places = places_of(task.space, budget) if by_places else EVERY_STATE
+        places = places_of(task.lattice, budget) if by_places else EVERY_STATE
         tree = task.tree()._replace(places=places)
         weight = max(options.epsilon, epsilon)
-        search.begin_round(task.space, task.heuristic, tree, weight)
+        search.begin_round(task.lattice, task.heuristic, tree, weight)
         budget = min(budget, options.max_expansions - expansions)
-        search.expand(task.space, task.heuristic, tree, weight, budget)
+        search.expand(task.lattice, task.heuristic, tree, weight, budget)
         expansions += int(tree.scalars[search.EXPANSIONS])
         if tree.scalars[search.BEST_UM] < search.NO_COST:
             return replace(
@@ -129,28 +129,28 @@ def _along(
 
 def _task_in(request: Request, path: Strip, nodes: Int64s, costs_um: Int64s) -> Task:
     """The search along a strip from the first steps (n,); changes the strip's costs."""
-    toward, exits = request.toward, request.toward.tables.exits
-    start = int(body_cells_of(toward, nodes)[np.argmin(costs_um)])
+    context, exits = request.context, request.context.tables.exits
+    start = int(body_cells_of(context, nodes)[np.argmin(costs_um)])
     arrive_um = _lift(request, path, start)
     return Task(
-        space=request.space,
+        lattice=request.lattice,
         heuristic=Heuristic(
             path.cost_um,
             path.settled_um + arrive_um,  # off the strip it is as far as from the start
-            toward.body_cell,
-            toward.tables.potential.potential_um.reshape(-1),
-            toward.tables.endgame.cost_um,
-            toward.tables.endgame.cap_um,
-            toward.tables.facing.depart_um,
-            no_detours(request.space.cols, request.space.rows),
+            context.body_cell,
+            context.tables.potential.potential_um.reshape(-1),
+            context.tables.goal_table.cost_um,
+            context.tables.goal_table.cap_um,
+            context.tables.facing.depart_um,
+            no_detours(request.lattice.cols, request.lattice.rows),
             exits.ring,
             exits.radius_cells,
         ),
-        steps=request.space.steps,
+        steps=request.lattice.steps,
         is_backward=False,
         roots=nodes,
         root_um=costs_um,
-        goals=toward.goal_nodes,
+        goals=context.goal_nodes,
         goal_um=np.full(2, final_cost_um(request.model)),
     )
 
@@ -161,7 +161,7 @@ def _lift(request: Request, path: Strip, start: int) -> int:
     Near the goal the exact table counts every turn, farther off nothing does. A search that weighs
     the heuristic would go along the border between the two and look everywhere outside first.
     """
-    space, tables = request.space, request.toward.tables
-    goal = path.ahead._replace(col=space.origin_col, row=space.origin_row, slack_um=0)
-    table = tables.endgame.inside, tables.facing.arrive_um, tables.facing.exact_um
-    return raise_by_arrival(space, path.cost_um, start, goal, *table)
+    lattice, tables = request.lattice, request.context.tables
+    goal = path.ahead._replace(col=lattice.origin_col, row=lattice.origin_row, slack_um=0)
+    table = tables.goal_table.inside, tables.facing.arrive_um, tables.facing.exact_um
+    return raise_by_arrival(lattice, path.cost_um, start, goal, *table)

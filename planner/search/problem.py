@@ -22,7 +22,7 @@ from planner.heuristics.heuristic import (
 from planner.heuristics.potential import body_cells_from
 from planner.heuristics.turning import no_detours
 from planner.lattice.first_steps import first_steps
-from planner.lattice.lattice import POINT, Int64s, Region, Space, beside, ends_in, height_beside
+from planner.lattice.lattice import POINT, Int64s, Lattice, Region, beside, ends_in, height_beside
 from planner.lattice.map_change import change_between, over
 from planner.lattice.steps import MICRO
 from planner.options import FULL
@@ -33,7 +33,7 @@ from planner.robot_model import Side, StepModel
 
 
 @dataclass(kw_only=True)
-class Toward:
+class GoalContext:
     """The lattice laid out from a goal, and what is known of the way to it.
 
     memory: what a search that is asked again and again keeps for itself, by its name; it has a
@@ -42,78 +42,78 @@ class Toward:
     heuristic_name: one of `HEURISTICS`.
     """
 
-    space: Space
+    lattice: Lattice
     model: StepModel
     tables: Tables
     memory: dict[str, Any] = field(default_factory=dict)
     region: Region = POINT
-    coarse: Toward | None = None
+    coarse: GoalContext | None = None
     heuristic_name: str = FULL
 
     @cached_property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal, good for any start."""
-        space = self.space
+        lattice = self.lattice
         if self.heuristic_name != FULL and len(self.ends):
             return simpler_heuristic(
-                self.heuristic_name, space, self.model, self.tables, self.body_cell, self.ends
+                self.heuristic_name, lattice, self.model, self.tables, self.body_cell, self.ends
             )
         if not self.region.is_point and len(self.ends):
             return heuristic_toward_region(
-                space, self.model, self.tables, self.body_cell, self.ends, self.region
+                lattice, self.model, self.tables, self.body_cell, self.ends, self.region
             )
         return self.heuristic_by(
-            search_body_path(space, self.tables.potential, self.tables.endgame)
+            search_body_path(lattice, self.tables.potential, self.tables.goal_table)
         )
 
     def heuristic_by(self, path: BodyPath) -> Heuristic:
         """The heuristic toward the goal's own pose with these path costs of the body."""
-        space, exits = self.space, self.tables.exits
+        lattice, exits = self.lattice, self.tables.exits
         return Heuristic(
             path.cost_um,
             path.frontier_um,
             self.body_cell,
             self.tables.potential.potential_um.reshape(-1),
-            self.tables.endgame.cost_um,
-            self.tables.endgame.cap_um,
+            self.tables.goal_table.cost_um,
+            self.tables.goal_table.cap_um,
             exits.turn_um,
-            no_detours(space.cols, space.rows),
+            no_detours(lattice.cols, lattice.rows),
             exits.rim,
             exits.radius_cells,
         )
 
-    def over(self, terrain: Terrain) -> Toward:
+    def over(self, terrain: Terrain) -> GoalContext:
         """The same over a changed terrain of the same size; takes this one's arrays for its own."""
-        change = change_between(self.space, self.space.terrain, terrain)
+        change = change_between(self.lattice, self.lattice.terrain, terrain)
         if change is None:
             return self
-        space = over(self.space, terrain, change)
+        lattice = over(self.lattice, terrain, change)
         for kept in self.memory.values():
-            kept.mend(space, change)
+            kept.mend(lattice, change)
         coarse = None if self.coarse is None else self.coarse.over(terrain)
-        return replace(self, space=space, coarse=coarse)
+        return replace(self, lattice=lattice, coarse=coarse)
 
     @cached_property
     def body_cell(self) -> Int64s:
         """The body's cell from a foot's cell, per heading * 2 + side (2 H,)."""
-        return body_cells_from(self.tables.potential, self.space.cols)
+        return body_cells_from(self.tables.potential, self.lattice.cols)
 
     @property
     def goal_nodes(self) -> Int64s:
         """Nodes of the goal feet (2,), left then right."""
-        origin = self.space.origin_row * self.space.cols + self.space.origin_col
-        return np.arange(2) + origin * self.space.headings * 2
+        origin = self.lattice.origin_row * self.lattice.cols + self.lattice.origin_col
+        return np.arange(2) + origin * self.lattice.headings * 2
 
     @cached_property
     def ends(self) -> Int64s:
         """Nodes (n,), in rising order, beside which the other foot may come last."""
-        return ends_in(self.space, self.region)
+        return ends_in(self.lattice, self.region)
 
 
-def body_cells_of(toward: Toward, nodes: Int64s) -> Int64s:
+def body_cells_of(context: GoalContext, nodes: Int64s) -> Int64s:
     """The body's cell (n,) of nodes (n,)."""
-    rows = 2 * toward.space.headings
-    return nodes // rows + toward.body_cell[nodes % rows]
+    rows = 2 * context.lattice.headings
+    return nodes // rows + context.body_cell[nodes % rows]
 
 
 FloatArray = NDArray[np.float64]
@@ -126,26 +126,26 @@ class Request:
     feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): how high.
     """
 
-    toward: Toward
+    context: GoalContext
     feet_lattice: FloatArray
     feet_m: FloatArray
     stands: bool
     first_side: Side | None
 
     @property
-    def space(self) -> Space:
+    def lattice(self) -> Lattice:
         """The lattice."""
-        return self.toward.space
+        return self.context.lattice
 
     @property
     def model(self) -> StepModel:
         """The robot."""
-        return self.toward.model
+        return self.context.model
 
     @property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal."""
-        return self.toward.heuristic
+        return self.context.heuristic
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,7 +217,7 @@ def first_nodes(request: Request) -> tuple[Int64s, Int64s]:
     # A robot that stands too near to an obstacle must be able to leave.
     margin_m = 0.0 if request.stands else request.model.body_margin_m
     return first_steps(
-        request.space,
+        request.lattice,
         request.model,
         request.feet_lattice,
         sides,
@@ -236,26 +236,26 @@ def found(
     time_to_first_s: float,
 ) -> Result:
     """The plan whose steps are the nodes (N - 1,) and then the other foot beside the last."""
-    space, model, last = request.space, request.model, int(nodes[-1])
+    lattice, model, last = request.lattice, request.model, int(nodes[-1])
     side = (nodes & 1).astype(np.int8)
-    heading = (nodes >> 1) % space.headings
-    cell = (nodes >> 1) // space.headings
-    col = (cell % space.cols - space.origin_col).astype(float)
-    row = (cell // space.cols - space.origin_row).astype(float)
+    heading = (nodes >> 1) % lattice.headings
+    cell = (nodes >> 1) // lattice.headings
+    col = (cell % lattice.cols - lattice.origin_col).astype(float)
+    row = (cell // lattice.cols - lattice.origin_row).astype(float)
     out = 1 - 2 * side  # `Side.outward`
     position = np.column_stack(
         [col * model.cell_m, row * model.cell_m + out * model.stance_width_m / 2]
     )
-    yaw_rad = heading * (2 * np.pi / space.headings)
+    yaw_rad = heading * (2 * np.pi / lattice.headings)
     poses = np.column_stack([position, yaw_rad])
     height_um = np.zeros(len(nodes))
-    if len(space.node_um):
-        height_um = space.node_um[slots_of(space.slots, nodes)].astype(np.float64)
+    if len(lattice.node_um):
+        height_um = lattice.node_um[slots_of(lattice.slots, nodes)].astype(np.float64)
     return Result(
         status=PlanStatus.FOUND,
         side=np.append(side, 1 - side[-1]),
-        pose_lattice=np.vstack([poses, (*beside(space, last)[:2], yaw_rad[-1])]),
-        z_m=np.append(height_um, height_beside(space, last)) / MICRO,
+        pose_lattice=np.vstack([poses, (*beside(lattice, last)[:2], yaw_rad[-1])]),
+        z_m=np.append(height_um, height_beside(lattice, last)) / MICRO,
         cost_m=cost_um / MICRO,
         epsilon=epsilon,
         expansions=expansions,

@@ -41,9 +41,9 @@ from planner.search.best_first import costs_of, trace
 from planner.search.coarse_to_fine import least_straight
 from planner.search.first_plan import NO_WAY, QuickPath
 from planner.search.problem import (
+    GoalContext,
     Request,
     Result,
-    Toward,
     body_cells_of,
     first_nodes,
     no_first_step,
@@ -84,19 +84,19 @@ class Target:
     is_goal: bool
 
 
-def target_around(toward: Toward, cells: Int64s) -> Target:
+def target_around(context: GoalContext, cells: Int64s) -> Target:
     """All nodes with the body in one of the cells, whatever the heading."""
-    rows = 2 * toward.space.headings
+    rows = 2 * context.lattice.headings
     row = np.arange(rows)
-    nodes = ((cells[:, None] - toward.body_cell[row]) * rows + row).reshape(-1)
-    nodes = np.sort(nodes[(nodes >= 0) & (nodes < toward.space.nodes)])
-    potential_um = toward.tables.potential.potential_um.reshape(-1)
+    nodes = ((cells[:, None] - context.body_cell[row]) * rows + row).reshape(-1)
+    nodes = np.sort(nodes[(nodes >= 0) & (nodes < context.lattice.nodes)])
+    potential_um = context.tables.potential.potential_um.reshape(-1)
     node_um = potential_um[nodes % rows] - potential_um.min()
     return Target(cells=cells, nodes=nodes, node_um=node_um, is_goal=False)
 
 
 def search_to(
-    toward: Toward,
+    context: GoalContext,
     target: Target,
     roots: Int64s,
     root_um: Int64s,
@@ -113,9 +113,9 @@ def search_to(
     best_um: cost of a plan that is known already; a way must cost less.
     """
     task = Task(
-        space=toward.space,
-        heuristic=_heuristic(toward, target, roots, mask),
-        steps=toward.space.steps,
+        lattice=context.lattice,
+        heuristic=_heuristic(context, target, roots, mask),
+        steps=context.lattice.steps,
         is_backward=False,
         roots=roots,
         root_um=root_um,
@@ -128,10 +128,10 @@ def search_to(
     scalars = tree.scalars
     known_um = min(best_um, int(scalars[search.BEST_UM]))
     scalars[search.BEST_UM] = known_um
-    search.begin_round(task.space, task.heuristic, tree, epsilon)
+    search.begin_round(task.lattice, task.heuristic, tree, epsilon)
     while True:
         left = budget - int(scalars[search.EXPANSIONS])
-        outcome = search.expand(task.space, task.heuristic, tree, epsilon, left)
+        outcome = search.expand(task.lattice, task.heuristic, tree, epsilon, left)
         if outcome == search.OUT_OF_ENTRIES:
             tree = search.with_more_entries(tree)
         elif outcome != search.IMPROVED or mask is None:
@@ -144,16 +144,16 @@ def search_to(
 
 
 def _heuristic(
-    toward: Toward, target: Target, roots: Int64s, mask: NDArray[np.uint8] | None
+    context: GoalContext, target: Target, roots: Int64s, mask: NDArray[np.uint8] | None
 ) -> Heuristic:
-    """As `Toward.heuristic`, toward the target, on the cells on the way."""
-    space, tables = toward.space, toward.tables
-    rows = 2 * space.headings
+    """As `GoalContext.heuristic`, toward the target, on the cells on the way."""
+    lattice, tables = context.lattice, context.tables
+    rows = 2 * lattice.headings
     potential_um = tables.potential.potential_um.reshape(-1)
-    cost_um = np.zeros(space.cols * space.rows, np.int32)
-    wanted = np.unique(roots // rows + toward.body_cell[roots % rows])
+    cost_um = np.zeros(lattice.cols * lattice.rows, np.int32)
+    wanted = np.unique(roots // rows + context.body_cell[roots % rows])
     reached_um = spread_costs(
-        space,
+        lattice,
         cost_um,
         target.cells,
         np.zeros(len(target.cells), np.int64),
@@ -164,15 +164,15 @@ def _heuristic(
         NOT_DRAWN,
     )
     heuristic = of_path(
-        space,
+        lattice,
         cost_um,
         reached_um,
-        toward.body_cell,
+        context.body_cell,
         potential_um if target.is_goal else potential_um - potential_um.min(),
     )
-    if target.is_goal and toward.region.is_point:
-        endgame = tables.endgame
-        return heuristic._replace(endgame_um=endgame.cost_um, cap_um=endgame.cap_um)
+    if target.is_goal and context.region.is_point:
+        goal_table = tables.goal_table
+        return heuristic._replace(endgame_um=goal_table.cost_um, cap_um=goal_table.cap_um)
     return heuristic
 
 
@@ -242,11 +242,11 @@ class _Sparse:
         self._rng = np.random.default_rng(options.seed)
         self._states: list[_State] = []
         self._heap: list[tuple[bool, float, int]] = []
-        space = request.space
-        self._goal_at = np.array([space.origin_col, space.origin_row])
-        ends = request.toward.ends
+        lattice = request.lattice
+        self._goal_at = np.array([lattice.origin_col, lattice.origin_row])
+        ends = request.context.ends
         self._goal = Target(
-            cells=np.unique(body_cells_of(request.toward, ends)),
+            cells=np.unique(body_cells_of(request.context, ends)),
             nodes=ends,
             node_um=np.full(len(ends), final_cost_um(request.model)),
             is_goal=True,
@@ -256,7 +256,7 @@ class _Sparse:
         """The plan, improved in a strip around it; None if none was found soon."""
         if not len(self._goal.nodes):
             return None
-        cells = body_cells_of(self.request.toward, self.nodes)
+        cells = body_cells_of(self.request.context, self.nodes)
         first = int(cells[np.argmin(self.costs_um)])
         self._add(self._at(first), parent=-1, cost_um=int(self.costs_um.min()), is_goal=False)
         self._states[0].is_reached = True
@@ -278,11 +278,11 @@ class _Sparse:
         return late or self.expansions >= most or len(self._states) >= _MOST_STATES
 
     def _at(self, cell: int) -> Int64s:
-        return np.array([cell % self.request.space.cols, cell // self.request.space.cols])
+        return np.array([cell % self.request.lattice.cols, cell // self.request.lattice.cols])
 
     def _straight_um(self, at: Int64s, to: Int64s) -> int:
-        guide = self.request.toward.tables.potential
-        return int(straight_cost(to[0] - at[0], to[1] - at[1], guide))
+        potential = self.request.context.tables.potential
+        return int(straight_cost(to[0] - at[0], to[1] - at[1], potential))
 
     def _add(self, at: Int64s, *, parent: int, cost_um: int, is_goal: bool) -> None:
         ahead_um = 0 if is_goal else self._straight_um(at, self._goal_at)
@@ -301,14 +301,14 @@ class _Sparse:
 
     def _reach(self, number: int) -> None:
         """Searches for the way from the parent; a state that has none is dropped in the end."""
-        state, toward = self._states[number], self.request.toward
+        state, context = self._states[number], self.request.context
         parent = self._states[state.parent]
         roots, root_um = self.nodes, self.costs_um
         if len(parent.nodes):
             roots, root_um = parent.nodes[-1:], np.array([parent.cost_um])
         budget = (_EASY, _HARD)[min(state.tries, 1)]
-        target = self._goal if state.is_goal else target_around(toward, self._disc(state.at))
-        found = search_to(toward, target, roots, root_um, epsilon=_WEIGHT, budget=budget)
+        target = self._goal if state.is_goal else target_around(context, self._disc(state.at))
+        found = search_to(context, target, roots, root_um, epsilon=_WEIGHT, budget=budget)
         self.expansions += found.expansions
         state.tries += 1
         if len(found.nodes):
@@ -325,16 +325,16 @@ class _Sparse:
         reach = np.arange(-_TARGET_CELLS, _TARGET_CELLS + 1)
         col, row = np.meshgrid(reach, reach)
         near = np.hypot(col, row) <= _TARGET_CELLS
-        return (at[1] + row[near]) * self.request.space.cols + at[0] + col[near]
+        return (at[1] + row[near]) * self.request.lattice.cols + at[0] + col[near]
 
     def _go_on(self, number: int) -> None:
         """Adds random states around one, and the goal if it is near."""
-        space, state = self.request.space, self._states[number]
-        apart = _APART_M / space.cell_m
+        lattice, state = self.request.lattice, self._states[number]
+        apart = _APART_M / lattice.cell_m
         if np.hypot(*(self._goal_at - state.at)) <= 1.5 * apart:
             cost_um = state.cost_um + state.ahead_um
             self._add(self._goal_at, parent=number, cost_um=cost_um, is_goal=True)
-        reach_m = self.request.toward.tables.potential.reach_m
+        reach_m = self.request.context.tables.potential.reach_m
         known = np.array([other.at for other in self._states if other.is_reached])
         turn = self._rng.uniform(0, 2 * math.pi)
         for k in range(_SUCCESSORS):
@@ -342,10 +342,10 @@ class _Sparse:
             way = apart * np.array([math.cos(angle), math.sin(angle)])
             at = state.at + np.rint(way).astype(np.int64)
             rim = 2 + _TARGET_CELLS
-            if min(at) < rim or at[0] >= space.cols - rim or at[1] >= space.rows - rim:
+            if min(at) < rim or at[0] >= lattice.cols - rim or at[1] >= lattice.rows - rim:
                 continue
             crowded = np.hypot(*(known - at).T).min() < 0.4 * apart
-            if crowded or cell_shut(space, int(at[1] * space.cols + at[0]), reach_m):
+            if crowded or cell_shut(lattice, int(at[1] * lattice.cols + at[0]), reach_m):
                 continue
             cost_um = state.cost_um + self._straight_um(state.at, at)
             self._add(at, parent=number, cost_um=cost_um, is_goal=False)
@@ -369,14 +369,14 @@ class _Sparse:
         )
 
     def _in_strip(self, nodes: Int64s, cost_um: int) -> Found:
-        toward, space = self.request.toward, self.request.space
-        mask = np.zeros((space.rows, space.cols), np.uint8)
-        mask.reshape(-1)[body_cells_of(toward, nodes)] = 1
-        side = 2 * math.ceil(_STRIP_M / space.cell_m) + 1
+        context, lattice = self.request.context, self.request.lattice
+        mask = np.zeros((lattice.rows, lattice.cols), np.uint8)
+        mask.reshape(-1)[body_cells_of(context, nodes)] = 1
+        side = 2 * math.ceil(_STRIP_M / lattice.cell_m) + 1
         strip = cv2.dilate(mask, np.ones((side, side), np.uint8)).astype(np.uint8)
         # First steps elsewhere have no path in the strip, and are left alone.
         return search_to(
-            toward,
+            context,
             self._goal,
             self.nodes,
             self.costs_um,
@@ -388,7 +388,7 @@ class _Sparse:
 
     def _least_um(self) -> int:
         """What any plan costs at least, as far as it is known without seeing the map."""
-        toward = self.request.toward
-        if not toward.region.is_point:
+        context = self.request.context
+        if not context.region.is_point:
             return least_toward_goal(self.request, self.nodes, self.costs_um)
         return least_straight(self.request, self.nodes, self.costs_um)

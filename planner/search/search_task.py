@@ -9,7 +9,7 @@ import numpy as np
 from planner.compiled import zeros
 from planner.heuristics.distance_field import draw_path, least_in_cells, spread_from
 from planner.heuristics.heuristic import Heuristic, estimates, of_path
-from planner.lattice.lattice import Int64s, Space, turned_round
+from planner.lattice.lattice import Int64s, Lattice, turned_round
 from planner.lattice.steps import final_cost_um
 from planner.search import best_first as search
 from planner.search.best_first import EVERY_STATE, Tree
@@ -25,7 +25,7 @@ class Task:
     The goals are in rising order. The heuristic looks toward the goals.
     """
 
-    space: Space
+    lattice: Lattice
     heuristic: Heuristic
     steps: Int64s
     is_backward: bool
@@ -36,7 +36,7 @@ class Task:
 
     def tree(self) -> Tree:
         """A fresh tree with the roots in it."""
-        tree = new_tree(self.space, self.steps, self.is_backward)
+        tree = new_tree(self.lattice, self.steps, self.is_backward)
         tree = tree._replace(goals=self.goals, goal_um=self.goal_um)
         search.seed(tree, self.roots, self.root_um)
         return tree
@@ -44,8 +44,8 @@ class Task:
     @property
     def may_connect(self) -> bool:
         """Whether a path of the body leads from a root to the goals, if there are any."""
-        rows = self.roots % (2 * self.space.headings)
-        cells = self.roots // (2 * self.space.headings) + self.heuristic.body_cell[rows]
+        rows = self.roots % (2 * self.lattice.headings)
+        cells = self.roots // (2 * self.lattice.headings) + self.heuristic.body_cell[rows]
         return len(self.goals) > 0 and bool(np.any(self.heuristic.cost_um[cells] > 0))
 
     def in_order(self, path: Int64s) -> Int64s:
@@ -53,15 +53,15 @@ class Task:
         return path[::-1].copy() if self.is_backward else path
 
 
-def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
+def new_tree(lattice: Lattice, steps: Int64s, is_backward: bool) -> Tree:
     """A tree with neither roots nor goals."""
-    length = space.slots.length
+    length = lattice.slots.length
     scalars = np.zeros(search.SCALARS, np.int64)
     scalars[search.BEST_UM] = search.NO_COST
     return Tree(
         steps=steps,
         is_backward=is_backward,
-        slots=space.slots,
+        slots=lattice.slots,
         cost_um=zeros(length, np.int32),
         before=zeros(length, np.int32),
         round=zeros(length, np.uint8),
@@ -77,11 +77,11 @@ def new_tree(space: Space, steps: Int64s, is_backward: bool) -> Tree:
 
 def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
     """From the first steps (n,) with their costs to the goal feet."""
-    ends = request.toward.ends
+    ends = request.context.ends
     return Task(
-        space=request.space,
+        lattice=request.lattice,
         heuristic=request.heuristic,
-        steps=request.space.steps,
+        steps=request.lattice.steps,
         is_backward=False,
         roots=nodes,
         root_um=costs_um,
@@ -92,12 +92,12 @@ def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
 
 def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> Task:
     """From the goal feet to the first steps (n,) with their costs."""
-    roots = request.toward.ends
+    roots = request.context.ends
     order = np.argsort(nodes)
     return Task(
-        space=request.space,
+        lattice=request.lattice,
         heuristic=heuristic_toward_start(request, nodes, costs_um),
-        steps=turned_round(request.space.steps),
+        steps=turned_round(request.lattice.steps),
         is_backward=True,
         roots=roots,
         root_um=np.full(len(roots), final_cost_um(request.model)),
@@ -116,22 +116,22 @@ def heuristic_toward_start(
     further_um: D may be too low, and is found sooner, where only paths to the goal pass that cost
     so much more than the cheapest.
     """
-    toward = request.toward
-    potential_um = toward.tables.potential.potential_um.reshape(-1)
-    value_um = costs_um + potential_um[nodes % (2 * request.space.headings)]
-    cells, least_um = least_in_cells(body_cells_of(toward, nodes), value_um)
+    context = request.context
+    potential_um = context.tables.potential.potential_um.reshape(-1)
+    value_um = costs_um + potential_um[nodes % (2 * request.lattice.headings)]
+    cells, least_um = least_in_cells(body_cells_of(context, nodes), value_um)
     base_um = int(least_um.min())
     seeds = cells, least_um - base_um
     if further_um is None:
-        path = spread_from(request.space, toward.tables.potential, *seeds)
+        path = spread_from(request.lattice, context.tables.potential, *seeds)
     else:
-        ends = np.unique(body_cells_of(toward, toward.ends))
-        path = draw_path(request.space, toward.tables.potential, *seeds, ends, further_um)
+        ends = np.unique(body_cells_of(context, context.ends))
+        path = draw_path(request.lattice, context.tables.potential, *seeds, ends, further_um)
     return of_path(
-        request.space, path.cost_um, path.frontier_um, toward.body_cell, base_um - potential_um
+        request.lattice, path.cost_um, path.frontier_um, context.body_cell, base_um - potential_um
     )
 
 
 def least_toward_goal(request: Request, nodes: Int64s, costs_um: Int64s) -> int:
     """What any plan costs at least by the heuristic toward the goal, from first steps (n,)."""
-    return int(np.min(costs_um + estimates(request.space, request.heuristic, nodes)))
+    return int(np.min(costs_um + estimates(request.lattice, request.heuristic, nodes)))
