@@ -24,8 +24,7 @@ def sources(tmp_path):
     """A folder with a package `planner` of which two functions are compiled."""
     folder = tmp_path / "planner"
     folder.mkdir()
-    for name in ("__init__.py", "compiled.py"):
-        (folder / name).write_text((Path(planner.__file__).parent / name).read_text())
+    (folder / "__init__.py").write_text(Path(planner.__file__).read_text())
     (folder / "callee.py").write_text(CALLEE.format(1))
     (folder / "caller.py").write_text(CALLER)
     return folder

@@ -13,6 +13,7 @@ from shapely import affinity
 from maps.grid import OccupancyGrid
 from planner.collision import terrain_of
 from planner.lattice.steps import feet_apart
+from planner.model import Side
 from planner.planner import Planner
 from planner.refinement.constraints import (
     WAYS,
@@ -31,7 +32,6 @@ from planner.refinement.cost import (
     step_between,
 )
 from planner.refinement.interior_point import _solve
-from planner.robot_model import Side
 from tests.planner_oracle import small_model
 from tests.planner_refined import (
     FLOOR,
@@ -64,10 +64,10 @@ def chain_of(planner, plan):
     feet = plan.start_feet_world[:, [0, 1, 3]].copy()
     rules = build_rules(
         planner._context[1].lattice,
-        planner.robot_model,
+        planner.model,
         feet,
         np.zeros(2, np.int64),
-        planner.robot_model.body_margin_m,
+        planner.model.body_margin_m,
     )
     poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
     return rules, poses, float(Side(int(plan.side[0])).outward)
