@@ -13,7 +13,6 @@ from shapely import affinity
 from maps.grid import OccupancyGrid
 from planner.collision import terrain_of
 from planner.lattice.steps import feet_apart
-from planner.model import Side
 from planner.planner import Planner
 from planner.refinement.constraints import (
     WAYS,
@@ -32,6 +31,7 @@ from planner.refinement.cost import (
     step_between,
 )
 from planner.refinement.interior_point import _solve
+from planner.robot_model import Side
 from tests.planner_oracle import small_model
 from tests.planner_refined import (
     FLOOR,
