@@ -8,9 +8,36 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from maps.grid import OccupancyGrid
+from maps.terraces import terraces_of
 from sim.robot import SURROUNDINGS_BITS, Robot
 from sim.sensors import SIDES, Sensors, add_sensors
 from sim.terrain import MapGround, add_ground, add_treads
+
+PHYSICS_TIMESTEP_S = 0.001
+
+
+def scene_of(
+    grid: OccupancyGrid, robot: Robot, unknown_is_free: bool, *, visuals: bool = False
+) -> Scene:
+    """The robot among the map's obstacles, at the physics rate of navigation."""
+    terraces = terraces_of(grid, grid.blocked(unknown_is_free))
+    lowest_m = terraces.lowest_m
+    return build_scene(
+        robot,
+        timestep_s=PHYSICS_TIMESTEP_S,
+        walls=Walls(
+            boxes_m=terraces.walls[:, :4],
+            feet_m=terraces.walls[:, 4],
+            lowest_m=lowest_m,
+            origin=grid.origin,
+        ),
+        ground=None
+        if grid.elevation_m is None
+        else MapGround(boxes_m=terraces.ground, lowest_m=lowest_m, origin=grid.origin),
+        visuals=visuals,
+    )
+
 
 WALL_HEIGHT_M = 1.0
 WALL_RGBA = (0.72, 0.66, 0.58, 1.0)

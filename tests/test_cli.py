@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from app.cli import main, overview
-from app.command_table import COMMANDS
+from app.cli import COMMANDS, main, overview
 from app.output import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent

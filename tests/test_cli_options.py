@@ -9,8 +9,7 @@ from typing import Annotated
 
 import pytest
 
-from app.cli import PROGRAM
-from app.command_table import COMMANDS
+from app.cli import COMMANDS, PROGRAM
 from app.options import (
     FolderArgument,
     OptionalFile,

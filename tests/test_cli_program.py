@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from app.command_table import COMMANDS
+from app.cli import COMMANDS
 from app.output import ExitCode
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -64,7 +64,7 @@ STALL = """
 import os, signal, sys, threading
 import app.commands.plan
 from app.cli import main
-def stall(options):
+def stall(options: app.commands.plan.PlanOptions):
     print("stalled", flush=True)
     threading.Event().wait(60)
 app.commands.plan.run = stall

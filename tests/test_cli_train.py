@@ -9,8 +9,7 @@ import pytest
 
 from app.cli import main
 from app.commands import dataset, train
-from app.commands.train import chosen_curriculum
-from app.commands.train_options import TrainOptions
+from app.commands.train import TrainOptions, chosen_curriculum
 from controller.checkpoint import TrainingError
 from planner.corpus.corpus import MANIFEST, PLANS, corpus_of
 from sim.robots import get_robot, robot_names
@@ -40,7 +39,7 @@ class Pretended:
 @pytest.fixture
 def trainers(monkeypatch):
     monkeypatch.setattr(Pretended, "made", [])
-    monkeypatch.setattr(train, "Trainer", Pretended)
+    monkeypatch.setattr("controller.runner.Trainer", Pretended)
     monkeypatch.setattr(train, "CORPUS_PLANS", 2)
     return Pretended.made
 

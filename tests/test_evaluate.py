@@ -11,7 +11,7 @@ import pytest
 
 from app.cli import main
 from app.commands import evaluate
-from app.commands.evaluate_options import SECTION_NAMES, EvaluateOptions
+from app.commands.evaluate import SECTION_NAMES, EvaluateOptions
 from app.evaluation import sections as evaluate_limits
 from app.evaluation import sections as evaluate_modes
 from app.evaluation.figures import FIGURES, write_figures

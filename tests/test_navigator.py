@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.commands.trials import Course, draw_trials, summarise, table, walk_all
+from app.commands.trials import Course, draw_trials, summarise, table, walk_one
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.report import Outcome
 from controller.policy import Policy, load_policy
@@ -170,7 +170,7 @@ def test_trials_are_drawn_apart_and_repeat(course):
 def test_trials_walk_and_are_summed_up_by_outcome(course):
     trials = draw_trials(course, 2, 0.3, seed=0)
     near = [replace(t, goal=(t.start[0], t.start[1], t.start[2] + 0.2)) for t in trials]
-    results = list(walk_all(course, near, workers=1))
+    results = [walk_one(course, trial) for trial in near]
     summary = summarise(results)
     assert summary["walks"] == summary["reached"] == 2
     assert summary["steps_taken"] == sum(len(r["foot_errors_m"]) for r in results) > 0

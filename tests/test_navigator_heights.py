@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from app.commands.trials import Course, draw_trials
-from app.navigation.navigator import Navigator, Placed, scene_of
+from app.navigation.navigator import Navigator, Placed
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
 from app.viewer.live_navigator import Rover
@@ -22,6 +22,7 @@ from planner.robot_model import Side
 from sim.clearance import min_clearance_m
 from sim.robot import GROUND_PREFIX
 from sim.robots import get_robot
+from sim.scene import scene_of
 
 ROBOT = get_robot("jvrc1")
 STAIRS = load_map("maps/stairs.yaml")

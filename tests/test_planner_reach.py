@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import shapely
 
-from app.commands.dataset_check import from_document
 from controller.step_sequences import MODES, draw_track, kept_within
 from controller.tracking_limits import Measured, limits_from, planning_model
+from planner.corpus.check import from_document
 from planner.options import PlannerOptions
 from planner.planner import Planner, plan_footsteps
 from planner.refinement.cost import NOT_ALLOWED, chain_cost_um

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.command_table import COMMANDS
+from app.cli import COMMANDS
 from app.options import parse_options
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -30,7 +30,7 @@ def test_the_two_set_up_lines_stand_word_for_word():
 def test_every_command_is_told_of():
     section = README.partition("\n## Commands\n")[2].partition("\n## ")[0]
     told = re.findall(r"^\| `([\w ]+)` \|", section, re.MULTILINE)
-    assert sorted(told) == sorted(COMMANDS), "README's table and app/command_table.py differ"
+    assert sorted(told) == sorted(COMMANDS), "README's table and app/cli.py differ"
 
 
 def test_every_command_line_is_one_that_is_taken():
@@ -52,6 +52,6 @@ def test_every_link_leads_somewhere(page):
 
 def test_every_file_that_the_readme_names_is_there():
     named = set(re.findall(r"`((?:\w+/)+\w+\.\w+|\w+\.py)`", README)) - {"maps/room.png"}
-    assert "app/command_table.py" in named
+    assert "app/cli.py" in named
     for name in named:
         assert (ROOT / name).exists(), f"README names {name}"

@@ -1,10 +1,11 @@
-"""The command `dataset`: a corpus of plans to random goals, with its manifest and pictures."""
+"""The commands `dataset` and `dataset check`: a corpus of plans, and the check of its steps."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
 import functools
+import hashlib
 import math
 import os
 import shutil
@@ -12,19 +13,193 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from app.commands.dataset_options import DatasetOptions
 from app.navigation.report import installed_versions
-from app.options import Interval, MapOptions, Pose, find_robot, read_grid
-from app.output import ExitCode, InputError, ProgressBar, make_folder, say, write_text
+from app.options import (
+    FolderArgument,
+    FolderOption,
+    Interval,
+    MapOptions,
+    OptionalFile,
+    OptionalInterval,
+    OptionalLength,
+    OptionalPose,
+    Pose,
+    RobotName,
+    choice,
+    find_robot,
+    read_grid,
+    text,
+    whole_number,
+)
+from app.output import (
+    ExitCode,
+    InputError,
+    ProgressBar,
+    as_bad_input,
+    make_folder,
+    say,
+    to_json,
+    write_text,
+)
 from app.workers import in_order, portions
-from maps.map_files import HEIGHTS, IMAGE, YAML, copy_map, find_map
-from planner.corpus.corpus import MANIFEST, PLANS, Corpus, corpus_of
-from planner.corpus.generate import Drawn, RandomPlans, floor_around, random_plans
-from planner.options import PlannerOptions
+from maps.map_files import HEIGHTS, IMAGE, YAML, MapError, copy_map, find_map
+from planner.corpus.corpus import MANIFEST, PLANS, Corpus, CorpusError, corpus_of
+from planner.options import PLANNERS, PlannerOptions
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from planner.corpus.check import Rules
+    from planner.corpus.generate import Drawn, RandomPlans
+
+CHECK_FORMAT = "footstep-corpus-check/1"
+CHECK_PORTION = 50
+_SHOWN = 20
+
+
+def run_check(options: DatasetCheckOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    from planner.corpus.check import rules_of
+
+    with as_bad_input(CorpusError, MapError):
+        corpus = Corpus.load(options.folder, even_if_changed=True)
+        rules = rules_of(options.folder, corpus)
+    if options.robot is not None:
+        rules = dataclasses.replace(rules, model=find_robot(options.robot).step_model)
+    wrong = check(corpus, rules, options.workers)
+    digest = hashlib.sha256((options.folder / PLANS).read_bytes()).hexdigest()
+    changed = digest != corpus.manifest.get("sha256")
+    document = {
+        "format": CHECK_FORMAT,
+        "folder": str(options.folder),
+        "robot": options.robot or corpus.robot,
+        "plans": len(corpus),
+        "steps": len(corpus.side),
+        "changed": changed,
+        "wrong": {str(number): lines for number, lines in wrong.items()},
+    }
+    if options.json:
+        print(to_json(document), end="")
+    else:
+        counts = f"{len(corpus)} plans with {len(corpus.side)} steps"
+        print(f"{counts}: " + (f"{len(wrong)} plans are wrong" if wrong else "all are right"))
+    lines = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
+    for line in lines[:_SHOWN]:
+        say(line)
+    if len(lines) > _SHOWN:
+        say(f"... and {len(lines) - _SHOWN} more; --json shows all")
+    if changed:
+        say(f"{PLANS} is not the file that {MANIFEST} was written for")
+    return ExitCode.BAD_INPUT if wrong or changed else ExitCode.DONE
+
+
+def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
+    """What is wrong, by the number of the plan; plans that are right are left out."""
+    from planner.corpus.check import check_plans, plan_of
+
+    portion_of = portions(len(corpus), workers, CHECK_PORTION)
+    width_m = rules.model.stance_width_m
+    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
+    wrong: dict[int, list[str]] = {}
+    with ProgressBar("plans", len(corpus)) as bar:
+        found = in_order(functools.partial(check_plans, rules), jobs, workers)
+        for numbers, lines in zip(portion_of, found, strict=True):
+            wrong.update({n: those for n, those in zip(numbers, lines, strict=True) if those})
+            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
+    return wrong
+
+
+FORMATS = ("npz", "lhw")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetOptions:
+    """Plan footsteps to many random goals: a corpus to train on.
+
+    Without a map every plan begins at 0,0,0 on an empty floor and ends up to 2 m ahead, up to 1 m
+    aside, turned by up to a quarter. The folder gets plans.npz, manifest.json and two pictures,
+    plans.png and steps.png. The same seed gives the same plans whatever the number of workers.
+    `dataset check DIR` checks every step of a corpus by independent geometry.
+    """
+
+    out: FolderOption
+    """Folder of the corpus, such as runs/corpus; made when missing."""
+
+    count: Annotated[int, whole_number(at_least=1)] = 1000
+    """How many plans, such as 1000."""
+
+    robot: RobotName = "jvrc1"
+    """Whose footsteps, such as jvrc1."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of all that is drawn, such as 7."""
+
+    goal_x: OptionalInterval = None
+    """Range of the goals' x in metres, such as 0,4; none: 0,2, or the whole map."""
+
+    goal_y: OptionalInterval = None
+    """Range of the goals' y in metres, such as -2,2; none: -1,1, or the whole map."""
+
+    goal_yaw: OptionalInterval = None
+    """Range of the goals' yaw, such as -3.14,3.14; none: a quarter turn, on a map any heading."""
+
+    start: OptionalPose = None
+    """Where every plan starts, such as 0,0,0; none: 0,0,0, on a map anywhere."""
+
+    obstacles: Annotated[int, whole_number(at_least=0)] = 0
+    """Boxes of random size and place for each plan anew, such as 5."""
+
+    map: OptionalFile = None
+    """Draw start and goal on this map, such as maps/room.png."""
+
+    resolution: OptionalLength = None
+    """Metres per pixel, such as 0.05, for a map image without a YAML; wins over the YAML's."""
+
+    origin: OptionalPose = None
+    """Pose of the map's lower-left corner, such as -4,-3,0; wins over the YAML's."""
+
+    unknown_is_free: bool = False
+    """Let the robot step on cells of which the map says neither free nor occupied."""
+
+    planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
+    """Which search, such as ara."""
+
+    refine: bool = False
+    """Move the steps of each plan off the lattice to where they cost less."""
+
+    workers: Annotated[int, whole_number(at_least=0)] = 0
+    """Processes that plan, such as 2; 0 for all cores."""
+
+    format: Annotated[str, choice(*FORMATS)] = "npz"
+    """The default npz alone, or such as lhw: also plans.txt, which the paper's own code reads."""
+
+    json: bool = False
+    """Print manifest.json on standard output, and nothing else there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetCheckOptions:
+    """Check every step of every plan of a corpus by independent, exact geometry.
+
+    Feet alternate, steps are within the limits, feet keep their gap, feet and body are off every
+    obstacle, the last two feet are those of the goal. The exit code is 2 if any plan fails.
+    """
+
+    folder: FolderArgument
+    """Folder of the corpus, such as runs/corpus."""
+
+    robot: Annotated[str | None, text("NAME")] = None
+    """Check against this robot as it is now, such as jvrc1; none: as the manifest tells."""
+
+    workers: Annotated[int, whole_number(at_least=0)] = 0
+    """Processes that check, such as 2; 0 for all cores."""
+
+    json: bool = False
+    """Print what was found as a document on standard output, and nothing else there."""
+
 
 TEXT, SHEET, HISTOGRAMS = "plans.txt", "plans.png", "steps.png"
 # All that a corpus may have.
@@ -35,7 +210,7 @@ ANY_HEADING = Interval(-math.pi, math.pi)
 ORIGIN = Pose(0.0, 0.0, 0.0)
 # States to look at for one plan before it counts as failed, in place of a limit on the clock.
 MOST_EXPANSIONS = 300_000
-PORTION = 25
+DRAW_PORTION = 25
 
 
 def run(options: DatasetOptions) -> int:
@@ -69,6 +244,8 @@ def wanted_plans(options: DatasetOptions, robot: Robot) -> RandomPlans:
     Raises:
         InputError: The map cannot be read, or there is none for options that are about it.
     """
+    from planner.corpus.generate import RandomPlans, floor_around
+
     start = options.start
     if options.map is None:
         if options.resolution or options.origin or options.unknown_is_free:
@@ -116,8 +293,10 @@ def draw(wanted: RandomPlans, count: int, workers: int) -> list[Drawn]:
     Raises:
         InputError: For one of them no draw gave a plan.
     """
+    from planner.corpus.generate import random_plans
+
     drawn: list[Drawn] = []
-    jobs = portions(count, workers, PORTION)
+    jobs = portions(count, workers, DRAW_PORTION)
     with ProgressBar("plans", count) as bar:
         for some in in_order(functools.partial(random_plans, wanted), jobs, workers):
             for one in some:

@@ -1,18 +1,22 @@
-"""The command `evaluate`: how well a policy walks, measured section by section, as one report."""
+"""The command `evaluate`: how well a policy walks, section by section, as one report."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Annotated, Any
 
-from app.commands.evaluate_options import EvaluateOptions
-from app.evaluation.parts import Bench, Kept, Part, Results, finite
-from app.evaluation.report_text import read_beside, report
-from app.evaluation.sections import SECTIONS, measured_of
 from app.navigation.report import installed_versions
-from app.options import find_robot
+from app.options import (
+    FolderOption,
+    OptionalFile,
+    OptionalFolder,
+    RobotName,
+    find_robot,
+    some_of,
+    whole_number,
+)
 from app.output import (
     ExitCode,
     InputError,
@@ -26,6 +30,52 @@ from app.output import (
 from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import Measured, measured_path, to_text
 
+if TYPE_CHECKING:
+    from app.evaluation.parts import Bench, Kept, Part, Results
+
+SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions:
+    """Measure how well a policy walks, and write one report with figures.
+
+    Sections: falls and foot errors of every mode (modes), stairs with noise on treads and joints
+    (stairs), joint loads, ground force and contact (gait), push recovery (push), speed and cost of
+    transport (energy), a minute of mixed walking (long), and the steps and margins that planning
+    may count on (limits); what the last finds is stored beside the policy, where plans find it.
+    The folder gets report.md, evaluation.json and the figures. What is done is kept when the run
+    is cut off: the same command goes on from there.
+    """
+
+    out: FolderOption
+    """Folder of the report, such as runs/evaluate; made when missing."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    policy: OptionalFile = None
+    """The policy to measure, such as runs/train/jvrc1.safetensors; none: the robot's own."""
+
+    sections: Annotated[tuple[str, ...], some_of(*SECTION_NAMES)] = SECTION_NAMES
+    """What to measure, such as modes,stairs."""
+
+    episodes: Annotated[int, whole_number(at_least=1)] = 1000
+    """Episodes of each mode, such as 1000; where there are many cases, a share of it for each."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 1
+    """Seed of the episodes, such as 1; training never uses the same ones."""
+
+    workers: Annotated[int, whole_number(at_least=0)] = 0
+    """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
+
+    beside: OptionalFolder = None
+    """Report of another policy of the robot, to show beside this one, such as runs/other."""
+
+    json: bool = False
+    """Print evaluation.json on standard output, and nothing else there."""
+
+
 FORMAT = "policy-evaluation/2"
 # Sections whose parts are rows of one table; the others have one document for each part.
 TABLES = ("modes", "stairs", "push", "energy")
@@ -35,6 +85,10 @@ ENOUGH_EPISODES = 100
 
 def run(options: EvaluateOptions) -> int:
     """Carries the command out; returns the exit code."""
+    from app.evaluation.parts import Bench, Kept
+    from app.evaluation.report_text import read_beside, report
+    from app.evaluation.sections import SECTIONS, measured_of
+
     robot = find_robot(options.robot)
     with as_bad_input(PolicyError):
         policy = load_policy(robot, options.policy)
@@ -69,6 +123,8 @@ def run(options: EvaluateOptions) -> int:
 
 def _measure(parts: Sequence[Part], options: EvaluateOptions, kept: Kept, results: Results) -> None:
     """Fill in the results of all parts that are wanted, or kept from a run of the same settings."""
+    from app.evaluation.parts import finite
+
     found = {part.name: kept.read(part) for part in parts}
     results |= {name: result for name, result in found.items() if result is not None}
     wanted = [part for part in parts if part.section in options.sections]
@@ -104,6 +160,8 @@ def document_of(
     bench: Bench, parts: Sequence[Part], results: Results, stored: str | None
 ) -> dict[str, Any]:
     """evaluation.json: what is known of each section; of those not measured there is nothing."""
+    from app.evaluation.sections import SECTIONS, measured_of
+
     document: dict[str, Any] = {
         "format": FORMAT,
         "robot": bench.robot.name,
@@ -131,5 +189,7 @@ def document_of(
 
 
 def _write(options: EvaluateOptions, document: dict[str, Any]) -> None:
+    from app.evaluation.report_text import report
+
     write_text(options.out / "evaluation.json", to_json(document))
     write_text(options.out / "report.md", report(document))

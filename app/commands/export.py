@@ -6,14 +6,6 @@ from dataclasses import dataclass
 
 from app.options import FileOption, OptionalFile, RobotName, find_robot
 from app.output import ExitCode, as_bad_input, replacing, require_writable, say, to_json
-from controller.onnx_export import (
-    CHECKED_OBSERVATIONS,
-    ExportError,
-    greatest_difference,
-    metadata,
-    require_onnx,
-    to_onnx,
-)
 from controller.policy import PolicyError, load_policy
 
 
@@ -41,6 +33,15 @@ class ExportOptions:
 
 def run(options: ExportOptions) -> int:
     """Carries the command out; returns the exit code."""
+    from controller.onnx_export import (
+        CHECKED_OBSERVATIONS,
+        ExportError,
+        greatest_difference,
+        metadata,
+        require_onnx,
+        to_onnx,
+    )
+
     robot = find_robot(options.robot)
     require_writable(options.out, option="--out", endings=(".onnx",))
     with as_bad_input(PolicyError, ExportError):

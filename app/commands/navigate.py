@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import time
+from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from app.commands.navigate_options import NavigateOptions
-from app.navigation.navigator import (
-    GOAL_TOLERANCE_M,
-    GOAL_TOLERANCE_RAD,
-    Navigator,
-    NavigatorConfig,
-    scene_of,
-)
 from app.navigation.report import (
     FootError,
     NavigationReport,
@@ -25,7 +21,20 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
-from app.options import Pose, Reach, find_follower, read_grid
+from app.options import (
+    FolderOption,
+    MapOptions,
+    OptionalFile,
+    PlannerName,
+    Pose,
+    PoseOption,
+    Reach,
+    ReachOption,
+    RobotName,
+    find_follower,
+    read_grid,
+    whole_number,
+)
 from app.output import (
     PICTURE_ENDINGS,
     InputError,
@@ -36,17 +45,109 @@ from app.output import (
     say,
     write_text,
 )
-from app.pictures.plan_pictures import write_path_picture
-from app.pictures.rendering import FOLLOW, Recording
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
+from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
-from sim.clearance import min_clearance_m
+from sim.gl import NoGlError, prepare_gl, switch_gl_off
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from app.navigation.navigator import Navigator
+
+
+@dataclass(frozen=True, kw_only=True)
+class NavigateOptions(MapOptions):
+    """Plan footsteps to the goal, walk them in MuJoCo with the trained policy, and report.
+
+    The robot plans again when a foot lands too far from its step. The exit code is 0 when the
+    robot stands at the goal, 2 when the input is wrong, 3 when there is no plan, and 4 when there
+    was a plan and the walk failed.
+    """
+
+    goal: PoseOption
+    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where the robot stands at first, such as -1,2,0."""
+
+    goal_tolerance: ReachOption = Reach(0.0, 0.0)
+    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.05,0.08."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    refine: bool = True
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
+
+    policy: OptionalFile = None
+    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of everything random, such as 7."""
+
+    out: FolderOption = Path("runs/navigate")
+    """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
+
+    view: bool = False
+    """Show the walk live on a web page, for this machine alone, and report when it is over."""
+
+    html: OptionalFile = None
+    """Also write the walk as a web page to watch, such as walk.html; opens from disk."""
+
+    video: OptionalFile = None
+    """Also write a film of the walk, such as walk.mp4; needs a GL library."""
+
+    strip: OptionalFile = None
+    """Also write a picture strip of the whole walk, such as walk.png; needs a GL library."""
+
+    gait_strip: OptionalFile = None
+    """Also write a picture strip of one gait cycle, such as gait.png; needs a GL library."""
+
+    json: bool = False
+    """Print report.json on standard output, and nothing else there."""
+
+    @property
+    def search(self) -> PlannerOptions:
+        """What the planner is told."""
+        return PlannerOptions(
+            name=self.planner,
+            refine=self.refine,
+            unknown_is_free=self.unknown_is_free,
+            seed=self.seed,
+            goal_reach_m=self.goal_tolerance.m,
+            goal_reach_rad=self.goal_tolerance.rad,
+        )
+
+    @property
+    def draws_robot(self) -> bool:
+        """Whether anything is asked for that needs a GL library."""
+        return not (self.video is None and self.strip is None and self.gait_strip is None)
 
 
 def run(options: NavigateOptions) -> int:
+    """Carries the command out; returns the exit code.
+
+    MuJoCo reads the choice of GL library when it is imported, so it is made here, before. Without
+    one the walk takes place all the same, and one line says what is missing.
+    """
+    if options.draws_robot:
+        try:
+            prepare_gl()
+        except NoGlError as error:
+            say(f"warning: {error}; going on without film and strips")
+            options = dataclasses.replace(options, video=None, strip=None, gait_strip=None)
+    else:
+        switch_gl_off()
+
+    return walk_and_report(options)
+
+
+def walk_and_report(options: NavigateOptions) -> int:
     """Carries the command out; returns the exit code."""
     started = time.perf_counter()
     _require_reachable(options)
@@ -57,8 +158,6 @@ def run(options: NavigateOptions) -> int:
     _check_outputs(options)
     with ExitStack() as stack:
         if options.view:
-            from app.viewer.view import viewed
-
             navigator = stack.enter_context(viewed(options, grid, robot, policy))
             # Who watches may have sent the robot somewhere else.
             options = dataclasses.replace(options, goal=Pose(*navigator.goal))
@@ -86,6 +185,8 @@ def walked(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
 ) -> Navigator:
     """A walk from plan to end, showing how many steps are done."""
+    from app.navigation.navigator import Navigator, NavigatorConfig
+
     navigator = Navigator(
         grid,
         robot,
@@ -139,11 +240,15 @@ def report_of(
 
 def clearance_m(navigator: Navigator) -> float | None:
     """The least distance of the robot from a wall over the whole walk; None without walls."""
+    from sim.clearance import min_clearance_m
+
     return min_clearance_m(navigator.scene, np.array(navigator.qpos[::4]))
 
 
 def _require_reachable(options: NavigateOptions) -> None:
     """A plan may end only where the robot, whose feet land a little off, still is at the goal."""
+    from app.navigation.navigator import GOAL_TOLERANCE_M, GOAL_TOLERANCE_RAD
+
     most = Reach(GOAL_TOLERANCE_M / 2, GOAL_TOLERANCE_RAD / 2)
     if options.goal_tolerance.m > most.m or options.goal_tolerance.rad > most.rad:
         asked = ",".join(f"{value:g}" for value in options.goal_tolerance)
@@ -169,6 +274,8 @@ def _check_outputs(options: NavigateOptions) -> None:
 def _write(
     options: NavigateOptions, navigator: Navigator, plan: FootstepPlan, report: NavigationReport
 ) -> None:
+    from app.pictures.plan_pictures import write_path_picture
+
     write_text(options.out / "report.json", report.to_json())
     write_text(options.out / "plan.json", plan.to_json() + "\n")
     write_path_picture(
@@ -186,6 +293,9 @@ def _draw(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, navigator: Navigator
 ) -> None:
     """Replay, film and picture strips of the walk, where they were asked for."""
+    from app.pictures.rendering import FOLLOW, Recording
+    from sim.scene import scene_of
+
     qpos = np.array(navigator.qpos)
     recording = Recording(
         qpos=qpos,
@@ -228,3 +338,32 @@ def _draw(
         write_strip(
             options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s, marks=marks
         )
+
+
+@contextlib.contextmanager
+def viewed(
+    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
+) -> Iterator[Navigator]:
+    """Gives the walk when it is over; on leaving, the page goes on until Ctrl-C."""
+    from app.viewer.page import opened
+
+    with opened(
+        grid,
+        robot,
+        policy,
+        title=f"Footfall: {options.map}",
+        start=options.start,
+        goal=options.goal,
+        options=options.search,
+        seed=options.seed,
+    ) as page:
+        session = page.session
+        say(f"open {page.server.url} in a browser to watch; the walk begins when it is open")
+        page.wait_for_visitor()
+        session.start()
+        page.run(is_over=lambda: session.ended is not None)
+        assert session.ended is not None
+        yield session.ended
+        say("the page stays open; Ctrl-C ends it")
+        with contextlib.suppress(KeyboardInterrupt):
+            page.run()

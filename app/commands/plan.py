@@ -1,4 +1,4 @@
-"""The command `plan`: footsteps from a start to a goal, as a file, a picture and a summary."""
+"""The command `plan`: footsteps to a goal as a file, a picture or a summary."""
 
 from __future__ import annotations
 

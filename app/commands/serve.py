@@ -3,17 +3,66 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from app.commands.serve_options import ServeOptions
-from app.options import find_follower, read_grid
+from app.options import (
+    MapOptions,
+    OptionalFile,
+    PlannerName,
+    Pose,
+    PoseOption,
+    RobotName,
+    find_follower,
+    read_grid,
+    text,
+    whole_number,
+)
 from app.output import InputError, ProgressBar, as_bad_input, say
-from app.viewer.nearest_pose import place_to_stand
-from app.viewer.page import load_robot, opened
-from app.viewer.session import Session
 from controller.policy import Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from app.viewer.session import Session
+
+
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions(MapOptions):
+    """Open a web page: the map, and the robot that walks where you click.
+
+    The page is for this machine alone unless --host says more. Ctrl-C ends it.
+    """
+
+    map: Annotated[Path, text("FILE")] = Path("maps/room.png")
+    """The map: an image with its YAML beside it, or the YAML, such as maps/office.png."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where the robot stands at first, such as -1,2,0."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner at first, such as ara; docs/planners.md tells them apart."""
+
+    refine: bool = True
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
+
+    policy: OptionalFile = None
+    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of everything random, such as 7."""
+
+    host: Annotated[str, text("ADDRESS")] = "127.0.0.1"
+    """Address to serve at, such as 0.0.0.0 for everybody who can reach this machine."""
+
+    port: Annotated[int, whole_number(at_least=0)] = 8080
+    """Port to serve at, such as 8080; 0 for any that is free."""
+
 
 # What was compiled before is loaded in less.
 _LOADED_AFTER_S = 6.0
@@ -22,6 +71,8 @@ _COMPILES = "which is compiled after a change of its code, for half a minute"
 
 def run(options: ServeOptions) -> int:
     """Carries the command out: serves until Ctrl-C."""
+    from app.viewer.page import load_robot, opened
+
     grid = read_grid(options)
 
     def load(name: str) -> tuple[Robot, Policy]:
@@ -68,6 +119,8 @@ def _load_planner(session: Session) -> None:
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:
+    from app.viewer.nearest_pose import place_to_stand
+
     wanted = "--start {:g},{:g},{:g}".format(*options.start)
     if not grid.contains(options.start[:2]):
         raise InputError(f"{wanted} is off the map")

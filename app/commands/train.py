@@ -4,22 +4,71 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from app.commands.train_options import TrainOptions
-from app.options import Interval, find_robot
+from app.options import (
+    FolderOption,
+    Interval,
+    OptionalFolder,
+    OptionalLength,
+    RobotName,
+    choice,
+    find_robot,
+    whole_number,
+)
 from app.output import ExitCode, InputError, ProgressBar, as_bad_input, make_folder, say, write_text
-from controller.checkpoint import TrainingError, require_room
 from controller.curriculum import PRESETS as CURRICULA
 from controller.curriculum import Curriculum
-from controller.env import TaskConfig
-from controller.ppo import TrainConfig
-from controller.rewards import PRESETS
-from controller.runner import Report, Trainer
-from controller.step_sequences import PlannedSteps
 from planner.corpus.corpus import Corpus, CorpusError
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from controller.runner import Report
+    from controller.step_sequences import PlannedSteps
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainOptions:
+    """Train the step follower from nothing, with PPO in many simulations at once.
+
+    The folder gets a checkpoint after every segment, a TensorBoard log, and the best policy so
+    far. A run that was stopped, however it was, goes on with --resume to the same result. Some
+    episodes walk plans of the planner: without --corpus the folder gets a corpus of its own, made
+    as `dataset --count 1000 --seed 0` makes it.
+    """
+
+    out: FolderOption
+    """Folder of the run, such as runs/train."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    samples: Annotated[int, whole_number(at_least=1)] = 20_000_000
+    """Control steps of single robots to train on, such as 20000000."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of the run, such as 0."""
+
+    reward: Annotated[str, choice("precise", "paper")] = "precise"
+    """Which reward: the paper's, or the more precise one, such as precise."""
+
+    curriculum: Annotated[str, choice("measured", "paper", "flat")] = "measured"
+    """When stairs come: with success, on the paper's schedule, or never, such as measured."""
+
+    rise: OptionalLength = None
+    """Highest rise of the stairs to train on in metres, such as 0.15; none: all the robot can."""
+
+    corpus: OptionalFolder = None
+    """Corpus of `dataset` to train on, such as runs/corpus; none: makes one in DIR/corpus."""
+
+    workers: Annotated[int, whole_number(at_least=0)] = 0
+    """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
+
+    resume: bool = False
+    """Go on with the run in the folder."""
+
 
 # A robot that may not step so high climbs no stairs.
 LEAST_RISE_M = 0.02
@@ -29,6 +78,12 @@ CORPUS_PLANS = 1000
 
 def run(options: TrainOptions) -> int:
     """Carries the command out; returns the exit code."""
+    from controller.checkpoint import TrainingError
+    from controller.env import TaskConfig
+    from controller.ppo import TrainConfig
+    from controller.rewards import PRESETS
+    from controller.runner import Trainer
+
     robot = find_robot(options.robot)
     curriculum = chosen_curriculum(options, robot)
     check_folder(options.out, resume=options.resume)
@@ -93,6 +148,8 @@ def check_folder(out: Path, *, resume: bool) -> None:
     Raises:
         InputError: there is a run where none should be, or none where one should; or no room.
     """
+    from controller.checkpoint import TrainingError, require_room
+
     began = (out / "checkpoint.pt").is_file()
     if resume and not began:
         raise InputError(f"--resume: {out} holds no checkpoint.pt to resume from")
@@ -112,11 +169,13 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
     Raises:
         InputError: there is no corpus, or it is not for this robot.
     """
+    from controller.step_sequences import PlannedSteps
+
     folder = options.corpus or options.out / OWN_CORPUS
     if options.corpus is None and not options.resume:
         # Here and not above: it brings the planner along, which training does without.
         from app.commands import dataset
-        from app.commands.dataset_options import DatasetOptions
+        from app.commands.dataset import DatasetOptions
 
         dataset.run(
             DatasetOptions(

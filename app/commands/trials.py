@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 import math
-import multiprocessing
-import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from app.commands.trials_options import TrialsOptions
-from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.report import Outcome, installed_versions
-from app.options import find_follower, read_grid
+from app.options import (
+    FolderOption,
+    MapOptions,
+    OptionalFile,
+    PlannerName,
+    RobotName,
+    find_follower,
+    number,
+    read_grid,
+    whole_number,
+)
 from app.output import (
     ExitCode,
     InputError,
@@ -27,13 +33,51 @@ from app.output import (
     to_json,
     write_text,
 )
+from app.workers import in_order
 from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
-from planner.collision import terrain_of
-from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
 from planner.plan import feet_at
-from sim.clearance import min_clearance_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialsOptions(MapOptions):
+    """Walk between many random pairs of free poses on a map, and print how it went.
+
+    Start and goal are drawn from all poses at which the robot can stand; the same seed gives
+    the same pairs and walks, whatever the number of workers.
+    """
+
+    count: Annotated[int, whole_number(at_least=1)] = 100
+    """How many pairs, such as 100."""
+
+    apart: Annotated[float, number(at_least=0.0)] = 1.5
+    """Least distance in metres between start and goal, such as 1.5."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    planner: PlannerName = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    refine: bool = True
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
+
+    policy: OptionalFile = None
+    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of the pairs and of the walks, such as 7."""
+
+    workers: Annotated[int, whole_number(at_least=0)] = 0
+    """Processes that walk, such as 2; 0 for all cores."""
+
+    out: FolderOption = Path("runs/trials")
+    """Folder for trials.json, such as runs/trials; made when missing."""
+
+    json: bool = False
+    """Print trials.json on standard output, and nothing else there."""
+
 
 FORMAT = "navigation-trials/1"
 Pose = tuple[float, float, float]
@@ -79,7 +123,7 @@ def run(options: TrialsOptions) -> int:
     trials = draw_trials(course, options.count, options.apart, options.seed)
     results = []
     with ProgressBar("walks", len(trials)) as bar:
-        for result in walk_all(course, trials, options.workers or os.cpu_count() or 1):
+        for result in in_order(functools.partial(walk_one, course), trials, options.workers):
             results.append(result)
             bar.update(len(results), f"{sum(r['outcome'] == 'reached' for r in results)} reached")
     document: dict[str, Any] = {
@@ -102,6 +146,9 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
     Raises:
         InputError: The robot can hardly stand anywhere on this map, or not so far apart.
     """
+    from planner.collision import terrain_of
+    from planner.endpoints import what_blocks
+
     rng = np.random.default_rng(seed)
     model = find_follower(course.robot, course.policy).step_model
     terrain = terrain_of(course.grid, course.unknown_is_free)
@@ -128,18 +175,11 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
     return trials
 
 
-def walk_all(course: Course, trials: Sequence[Trial], workers: int) -> Iterator[dict[str, Any]]:
-    """The results in the order of the trials, from as many processes as there are workers."""
-    if workers == 1:
-        yield from (walk_one(course, trial) for trial in trials)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        yield from pool.map(walk_one, [course] * len(trials), trials)
-
-
 def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
+    from app.navigation.navigator import Navigator, NavigatorConfig
+    from sim.clearance import min_clearance_m
+
     robot = find_follower(course.robot, course.policy)
     navigator = Navigator(
         course.grid,

@@ -15,17 +15,14 @@ from controller.policy import Policy
 from controller.step_cursor import Track
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
-from maps.terraces import terraces_of
 from planner.endpoints import Footing
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
 from sim.robot import Robot
-from sim.scene import Scene, Walls, build_scene
-from sim.terrain import MapGround
+from sim.scene import scene_of
 
-PHYSICS_TIMESTEP_S = 0.001
 GOAL_TOLERANCE_M = 0.10
 GOAL_TOLERANCE_RAD = math.radians(10.0)
 
@@ -255,25 +252,3 @@ class Navigator:
 
     def _end(self, outcome: Outcome, reason: str) -> None:
         self.outcome, self.reason = outcome, reason
-
-
-def scene_of(
-    grid: OccupancyGrid, robot: Robot, unknown_is_free: bool, *, visuals: bool = False
-) -> Scene:
-    """The robot among the map's obstacles, at the physics rate of navigation."""
-    terraces = terraces_of(grid, grid.blocked(unknown_is_free))
-    lowest_m = terraces.lowest_m
-    return build_scene(
-        robot,
-        timestep_s=PHYSICS_TIMESTEP_S,
-        walls=Walls(
-            boxes_m=terraces.walls[:, :4],
-            feet_m=terraces.walls[:, 4],
-            lowest_m=lowest_m,
-            origin=grid.origin,
-        ),
-        ground=None
-        if grid.elevation_m is None
-        else MapGround(boxes_m=terraces.ground, lowest_m=lowest_m, origin=grid.origin),
-        visuals=visuals,
-    )

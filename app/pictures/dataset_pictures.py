@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.commands.dataset_check import plan_of
 from app.output import write_picture
 from app.pictures.canvas import GOAL, LEFT, PATH, RIGHT, START, Canvas, body_path
 from app.pictures.plan_pictures import INK, PAPER, Swatch, with_legend
 from maps.grid import OccupancyGrid
 from maps.obstacles import with_boxes
+from planner.corpus.check import plan_of
 from planner.corpus.corpus import Corpus
 from planner.plan import FootstepPlan
 from planner.robot_model import Side, StepModel

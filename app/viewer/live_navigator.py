@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.navigation.navigator import Navigator, Placed, PlansSteps, scene_of
+from app.navigation.navigator import Navigator, Placed, PlansSteps
 from app.navigation.report import Outcome
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
@@ -16,6 +16,7 @@ from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
 from planner.plan import FootstepPlan, feet_at, pair_pose
 from planner.robot_model import Side
+from sim.scene import scene_of
 
 # A robot that stands is not simulated for longer: its feet would creep, and nobody would gain.
 _REST_AFTER_S = 2.0

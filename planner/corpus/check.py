@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
-import hashlib
 import math
 import types
 import typing
@@ -16,21 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.commands.dataset_options import DatasetCheckOptions
-from app.options import find_robot
-from app.output import ExitCode, ProgressBar, as_bad_input, say, to_json
-from app.workers import in_order, portions
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
 from maps.obstacles import with_boxes
-from planner.corpus.corpus import MANIFEST, PLANS, Corpus, CorpusError
+from planner.corpus.corpus import MANIFEST, Corpus, CorpusError
 from planner.plan import FootstepPlan, PlanStatus
 from planner.robot_model import StepModel
 from planner.verify import violations
 
-FORMAT = "footstep-corpus-check/1"
-PORTION = 50
-_SHOWN = 20
 # A floor of so many cells takes 100 MB.
 _MOST_CELLS = 100_000_000
 
@@ -45,54 +36,6 @@ class Rules:
 
 
 Portion = list[tuple[FootstepPlan, NDArray[np.float64]]]
-
-
-def run(options: DatasetCheckOptions) -> int:
-    """Carries the command out; returns the exit code."""
-    with as_bad_input(CorpusError, MapError):
-        corpus = Corpus.load(options.folder, even_if_changed=True)
-        rules = rules_of(options.folder, corpus)
-    if options.robot is not None:
-        rules = dataclasses.replace(rules, model=find_robot(options.robot).step_model)
-    wrong = check(corpus, rules, options.workers)
-    digest = hashlib.sha256((options.folder / PLANS).read_bytes()).hexdigest()
-    changed = digest != corpus.manifest.get("sha256")
-    document = {
-        "format": FORMAT,
-        "folder": str(options.folder),
-        "robot": options.robot or corpus.robot,
-        "plans": len(corpus),
-        "steps": len(corpus.side),
-        "changed": changed,
-        "wrong": {str(number): lines for number, lines in wrong.items()},
-    }
-    if options.json:
-        print(to_json(document), end="")
-    else:
-        counts = f"{len(corpus)} plans with {len(corpus.side)} steps"
-        print(f"{counts}: " + (f"{len(wrong)} plans are wrong" if wrong else "all are right"))
-    lines = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
-    for line in lines[:_SHOWN]:
-        say(line)
-    if len(lines) > _SHOWN:
-        say(f"... and {len(lines) - _SHOWN} more; --json shows all")
-    if changed:
-        say(f"{PLANS} is not the file that {MANIFEST} was written for")
-    return ExitCode.BAD_INPUT if wrong or changed else ExitCode.DONE
-
-
-def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
-    """What is wrong, by the number of the plan; plans that are right are left out."""
-    portion_of = portions(len(corpus), workers, PORTION)
-    width_m = rules.model.stance_width_m
-    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
-    wrong: dict[int, list[str]] = {}
-    with ProgressBar("plans", len(corpus)) as bar:
-        found = in_order(functools.partial(check_plans, rules), jobs, workers)
-        for numbers, lines in zip(portion_of, found, strict=True):
-            wrong.update({n: those for n, those in zip(numbers, lines, strict=True) if those})
-            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
-    return wrong
 
 
 def check_plans(rules: Rules, portion: Portion) -> list[list[str]]:
