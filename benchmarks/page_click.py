@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from app.options import MapOptions, read_grid
-from app.viewer.page import drawn, load_robot, opened
+from app.viewer.page import load_robot, open_page, painted_in_background
 from app.viewer.session import Session
 from benchmarks.page_watcher import Watcher
 from planner.options import PlannerOptions
 
-PATIENCE_S = 300.0
+WAIT_LIMIT_S = 300.0
 ABOVE_M = 5.0
 # So long nothing must come before the next click.
 QUIET_S = 0.3
@@ -47,7 +47,10 @@ def main() -> None:
     rows: list[tuple[float, ...]] = []
     rng = np.random.default_rng(options.seed)
     x0, y0, x1, y1 = grid.bounds_world()
-    with opened(grid, robot, policy, title="clicks", options=SERVED) as page, drawn(page):
+    with (
+        open_page(grid, robot, policy, title="clicks", options=SERVED) as page,
+        painted_in_background(page),
+    ):
         session, watcher = page.session, Watcher(page.server.url)
         # As `serve` does before it says that its page is up.
         wait(lambda: session.is_ready(wait_s=1.0))
@@ -70,9 +73,9 @@ def clicked(session: Session, watcher: Watcher, x_m: float, y_m: float) -> tuple
     session.reset()
     wait(lambda: session.snapshot.status == "standing" and session.snapshot.notice is None)
     wait(lambda: is_quiet(watcher))
-    began, before = (time.monotonic(), time.process_time(), planner_s(session)), prints(watcher)
+    began, before = (time.monotonic(), time.process_time(), planner_s(session)), footprints(watcher)
     watcher.click("/map/slab", (x_m, y_m, ABOVE_M), (0.0, 0.0, -1.0))
-    wait(lambda: prints(watcher) > before or session.snapshot.notice is not None)
+    wait(lambda: footprints(watcher) > before or session.snapshot.notice is not None)
     if session.snapshot.notice is not None:
         return None
     ended = time.monotonic(), time.process_time(), planner_s(session)
@@ -82,16 +85,16 @@ def clicked(session: Session, watcher: Watcher, x_m: float, y_m: float) -> tuple
     return 1000 * wall_s, 1000 * answer_s, 1000 * server_cpu_s, 1000 * planner_cpu_s
 
 
-def prints(watcher: Watcher) -> int:
+def footprints(watcher: Watcher) -> int:
     """How often the page was told of footprints."""
     return sum(watcher.heard_of[name] for name in PRINTS)
 
 
 def is_quiet(watcher: Watcher) -> bool:
     """Whether no footprints come for a while."""
-    before = prints(watcher)
+    before = footprints(watcher)
     time.sleep(QUIET_S)
-    return prints(watcher) == before
+    return footprints(watcher) == before
 
 
 def planner_s(session: Session) -> float:
@@ -102,7 +105,7 @@ def planner_s(session: Session) -> float:
 
 def wait(wanted: Callable[[], bool]) -> None:
     """Waits until something is so."""
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + WAIT_LIMIT_S
     while not wanted():
         if time.monotonic() > until_s:
             raise TimeoutError("waited in vain")
@@ -110,7 +113,7 @@ def wait(wanted: Callable[[], bool]) -> None:
 
 
 def print_row(name: str, row: tuple[float, ...]) -> None:
-    """Prints milliseconds below the header."""
+    """Footprints milliseconds below the header."""
     wall, answer, server, planner = row
     print(f"{name:13s} {wall:16.0f} {answer:14.0f} {server:11.0f} {planner:12.0f}", flush=True)
 

@@ -9,7 +9,7 @@ walks as fast as it goes and the scene is drawn --updates times a round (2,000 a
 frames a second); with --minutes it walks in real time instead, drawn as `serve` draws it, for so
 long.
 
-Prints what is held after every few rounds, how many messages there ever were, and the processor
+Footprints what is held after every few rounds, how many messages there ever were, and the processor
 time that the opening of a page takes: the median of a few, all threads of the server and of the
 page that opens. Needs no browser; memory is read from /proc (Linux).
 """
@@ -27,11 +27,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from app.options import MapOptions, read_grid
-from app.viewer.page import Page, drawn, load_robot, opened
+from app.viewer.page import Page, load_robot, open_page, painted_in_background
 from benchmarks.page_watcher import Watcher
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
-PATIENCE_S = 300.0
+WAIT_LIMIT_S = 300.0
 ROWS = 12
 OPENINGS = 5
 # A robot that stands is simulated for two seconds, and drawn; then it is measured.
@@ -54,12 +54,12 @@ def main() -> None:
     grid = read_grid(MapOptions(map=options.map))
     robot, policy = load_robot("jvrc1")
     with ExitStack() as stack:
-        page = stack.enter_context(opened(grid, robot, policy, title="memory"))
+        page = stack.enter_context(open_page(grid, robot, policy, title="memory"))
         if options.minutes is None:
             walks: Walks = HurriedWalks(page, options.updates)
         else:
             walks = RealWalks(page)
-            stack.enter_context(drawn(page))
+            stack.enter_context(painted_in_background(page))
         page.session.start()
         for _ in range(options.watchers):
             stack.callback(Watcher(page.server.url).close)
@@ -107,9 +107,9 @@ class Walks:
         before = session.snapshot.walk
         session.go_to(GOALS[number % 2])
         self.wait(lambda: session.snapshot.walk > before and len(session.snapshot.placed_side) > 0)
-        page.toybox.add((-1.0, -1.0), (0.2, 0.2))
+        page.obstacle_editor.add((-1.0, -1.0), (0.2, 0.2))
         self.wait(lambda: session.snapshot.replans > 0 or session.snapshot.status != "walking")
-        page.toybox.clear()
+        page.obstacle_editor.clear()
         self.draw_much()
         self.wait(lambda: session.snapshot.status != "walking")
         ended = session.snapshot
@@ -120,7 +120,7 @@ class Walks:
 
     def wait(self, wanted: Callable[[], bool]) -> None:
         """Lets time pass until something is so."""
-        until_s = time.monotonic() + PATIENCE_S
+        until_s = time.monotonic() + WAIT_LIMIT_S
         while not wanted():
             if time.monotonic() > until_s:
                 snapshot = self.page.session.snapshot
@@ -145,7 +145,7 @@ class HurriedWalks(Walks):
         super().__init__(page)
         self._updates = updates
         page.text_every_s = page.plot_every_s = 0.0
-        page.session.pace.factor = math.inf
+        page.session.clock.factor = math.inf
 
     def pass_time(self) -> None:
         """Draws, and waits a little."""
@@ -167,7 +167,7 @@ class RealWalks(Walks):
 
 
 def report(number: int, walks: Walks) -> None:
-    """Prints a row of what is held."""
+    """Footprints a row of what is held."""
     page = walks.page
     gc.collect()
     opening_ms = 1000 * statistics.median(opening_s(page) for _ in range(OPENINGS))
@@ -188,7 +188,7 @@ def opening_s(page: Page) -> float:
     """Processor time until one more page has all that is to be seen, while nothing is drawn."""
     began_s = time.process_time()
     watcher = Watcher(page.server.url)
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + WAIT_LIMIT_S
     while not watcher.heard["ReplayDoneMessage"]:
         if time.monotonic() > until_s:
             raise TimeoutError("a page that opens is not told all")

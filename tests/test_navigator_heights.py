@@ -12,7 +12,7 @@ from app.commands.trials import Course, draw_trials
 from app.navigation.navigator import Navigator, Placed
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
-from app.viewer.live_navigator import Rover
+from app.viewer.live_navigator import LiveNavigator
 from controller.policy import load_policy
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map
@@ -144,15 +144,15 @@ def test_a_foot_on_the_wrong_tread_calls_for_another_plan(on_landing):
 
 
 def test_a_robot_that_stops_keeps_to_the_height_of_its_tread():
-    rover = navigator(LANDING, (4.3, 0.05, 0.1), kind=Rover)
-    assert isinstance(rover, Rover)
-    plan = rover.plan()
-    rover.going = True
+    live = navigator(LANDING, (4.3, 0.05, 0.1), kind=LiveNavigator)
+    assert isinstance(live, LiveNavigator)
+    plan = live.plan()
+    live.going = True
     # In the swing of the first step.
-    while not rover.walker.cursor.swinging[0]:
-        rover.tick()
-    rover.halt()
-    stop = rover.waiting
+    while not live.walker.cursor.swinging[0]:
+        live.tick()
+    live.halt()
+    stop = live.waiting
     assert isinstance(stop, FootstepPlan)
     assert len(stop) == 1 < len(plan)
     assert stop.pose_world[0, 2] == 0.6

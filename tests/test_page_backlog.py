@@ -12,7 +12,7 @@ from viser import _messages as messages
 from viser.infra import ClientId
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-from app.viewer.server import calm, shorten
+from app.viewer.server import make_thread_safe, skip_superseded
 
 DONE = messages.ReplayDoneMessage()
 
@@ -20,8 +20,8 @@ DONE = messages.ReplayDoneMessage()
 def run(script: Callable[[AsyncMessageBuffer], Awaitable[None]]) -> None:
     async def play() -> None:
         buffer = AsyncMessageBuffer(asyncio.get_running_loop(), persistent_messages=True)
-        calm(buffer)
-        shorten(buffer)
+        make_thread_safe(buffer)
+        skip_superseded(buffer)
         await asyncio.wait_for(script(buffer), 60)
 
     asyncio.run(play())

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.page import Page, drawn, opened
+from app.viewer.page import Page, open_page, painted_in_background
 from app.viewer.panel import SPEEDS
 from app.viewer.pointer import Tool
-from app.viewer.robot_scene import look_of
+from app.viewer.robot_scene import robot_meshes_of
 from benchmarks.page_watcher import Watcher
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid
@@ -26,12 +26,12 @@ POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
 CELLS = np.zeros((120, 160), np.uint8)
 CELLS[:, 100:104] = 1
 HALL = OccupancyGrid(cells=CELLS, resolution_m=0.05, origin=(-2, -3, 0))
-PATIENCE_S = 120.0
+WAIT_LIMIT_S = 120.0
 
 
 @pytest.fixture
 def page() -> Iterator[Page]:
-    with opened(HALL, ROBOT, POLICY, title="goals") as page, drawn(page):
+    with open_page(HALL, ROBOT, POLICY, title="goals") as page, painted_in_background(page):
         page.text_every_s = 0.0
         page.session.start()
         yield page
@@ -46,7 +46,7 @@ def watcher(page: Page) -> Iterator[Watcher]:
 
 
 def until(wanted: Callable[[], Any]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + WAIT_LIMIT_S
     while not wanted():
         assert time.monotonic() < until_s, "waited in vain"
         time.sleep(0.01)
@@ -71,7 +71,7 @@ def test_fields_and_arrow_follow_a_click_that_begins_one_walk(page, watcher):
     until(lambda: fields(page)[:2] == pytest.approx((1.0, 0.5)))
     assert math.degrees(fields(page)[2]) == pytest.approx(math.degrees(math.atan2(0.5, 1)), abs=2)
     until(lambda: seen(page, "/goal") == pytest.approx((1.0, 0.5)))
-    until(lambda: seen(page, "/wished") is None)
+    until(lambda: seen(page, "/requested") is None)
     # The server tells the page's fields; they tell nobody.
     assert watcher.heard["GuiUpdateMessage"] > 0
     assert page.session.snapshot.walk == 2
@@ -82,11 +82,11 @@ def test_where_no_goal_was_before_the_refused_one_can_be_corrected(page, watcher
     until(lambda: seen(page, "/refused") == pytest.approx((2.0, 2.95)))
     until(lambda: fields(page)[:2] == pytest.approx((2.0, 2.95)))
     assert seen(page, "/goal") is None
-    assert seen(page, "/offer")[1] < 2.95
+    assert seen(page, "/alternative")[1] < 2.95
 
 
 def test_a_refused_goal_leaves_the_one_that_holds(page, watcher):
-    page.session.pace.factor = SPEEDS["Pause"]
+    page.session.clock.factor = SPEEDS["Pause"]
     look_down(watcher, 1.0, 0.5)
     until(lambda: seen(page, "/goal") == pytest.approx((1.0, 0.5)))
     # Upon the wall.
@@ -95,11 +95,11 @@ def test_a_refused_goal_leaves_the_one_that_holds(page, watcher):
     assert page.server.scene._handle_from_node_name["/refused"].position[2] > 1.0
     until(lambda: fields(page)[:2] == pytest.approx((1.0, 0.5)))
     assert seen(page, "/goal") == pytest.approx((1.0, 0.5))
-    assert seen(page, "/wished") is None
-    assert seen(page, "/offer")[0] < 3.0
+    assert seen(page, "/requested") is None
+    assert seen(page, "/alternative")[0] < 3.0
     page._panel._accept()
     until(lambda: seen(page, "/goal")[0] > 1.5)
-    until(lambda: (seen(page, "/refused"), seen(page, "/offer")) == (None, None))
+    until(lambda: (seen(page, "/refused"), seen(page, "/alternative")) == (None, None))
     until(lambda: fields(page)[:2] == pytest.approx(seen(page, "/goal"), abs=1e-3))
 
 
@@ -124,32 +124,32 @@ def test_the_robot_is_no_glass(page, watcher):
     """A ray through its chest that comes down 1.6 m behind it means the robot."""
     stood = page.session.snapshot.qpos[:2]
     watcher.click("/map/slab", (-1.6, 0.0, 1.6), (1.6, 0.0, -0.8))
-    until(lambda: page.session.snapshot.goal or page.session.snapshot.wished)
+    until(lambda: page.session.snapshot.goal or page.session.snapshot.requested)
     now = page.session.snapshot
-    assert (now.goal or now.wished)[:2] == pytest.approx(stood, abs=0.05)
+    assert (now.goal or now.requested)[:2] == pytest.approx(stood, abs=0.05)
     page._panel.use_tool(Tool.BOX)
     watcher.click("/map/slab", (-1.6, 0.0, 1.6), (1.6, 0.0, -0.8))
     until(lambda: "that is the robot" in page._panel._notice.content)
 
 
 def test_how_far_a_ray_comes_before_it_meets_the_robot():
-    look = look_of(ROBOT)
+    meshes = robot_meshes_of(ROBOT)
     qpos = build_scene(ROBOT, timestep_s=0.001).standing_qpos.copy()
     qpos[:2] = 1.0, 2.0
-    height_m = 5.0 - look.met_after_m(qpos, (1.0, 2.0, 5.0), (0, 0, -2))
+    height_m = 5.0 - meshes.hit_distance_m(qpos, (1.0, 2.0, 5.0), (0, 0, -2))
     assert 1.3 < height_m < 1.8
-    assert look.met_after_m(qpos, (2.0, 2.0, 5.0), (0, 0, -1)) == math.inf
+    assert meshes.hit_distance_m(qpos, (2.0, 2.0, 5.0), (0, 0, -1)) == math.inf
     # From the side at the height of the pelvis.
-    assert 1.8 < look.met_after_m(qpos, (3.0, 2.0, float(qpos[2])), (-1, 0, 0)) < 2.0
+    assert 1.8 < meshes.hit_distance_m(qpos, (3.0, 2.0, float(qpos[2])), (-1, 0, 0)) < 2.0
 
 
 def test_boxes_are_moved_with_their_own_tool_alone(page, watcher):
-    page.toybox.add((1.0, -1.0), (0.4, 0.4))
+    page.obstacle_editor.add((1.0, -1.0), (0.4, 0.4))
     box: Any = page.server.scene._handle_from_node_name["/map/box_0"]
     assert not box._impl.drag_cb
     page._panel.use_tool(Tool.BOX)
     assert len(box._impl.drag_cb) == 1
-    page.toybox.add((1.0, -2.0), (0.4, 0.4))
+    page.obstacle_editor.add((1.0, -2.0), (0.4, 0.4))
     other: Any = page.server.scene._handle_from_node_name["/map/box_1"]
     assert len(other._impl.drag_cb) == 1
     page._panel.use_tool(Tool.GOAL)

@@ -10,8 +10,8 @@ import pytest
 import viser
 
 from app.viewer.map_scene import add_floor
-from app.viewer.markers import Marker, Prints
-from app.viewer.obstacle_editor import Toybox
+from app.viewer.markers import Footprints, Marker
+from app.viewer.obstacle_editor import ObstacleEditor
 from app.viewer.obstacles import Obstacle
 from app.viewer.pointer import surface_of
 from app.viewer.server import open_server
@@ -54,15 +54,15 @@ def test_the_ground_is_drawn_as_high_as_it_is(scene):
 
 
 def test_footprints_path_and_goal_lie_on_the_ground(scene):
-    prints = Prints(scene, STAIRS, FootShape(length_m=0.2, width_m=0.1))
+    footprints = Footprints(scene, STAIRS, FootShape(length_m=0.2, width_m=0.1))
     poses = np.array([[2.15, 0.1, 0.1, 0.0], [4.1, 0.1, 0.6, 0.3]])
-    prints.plan(np.array([Side.LEFT, Side.LEFT]), poses)
+    footprints.plan(np.array([Side.LEFT, Side.LEFT]), poses)
     soles = shown(scene, "/steps/planned_left")[:8]
     assert soles[:4, 2] == pytest.approx(0.1, abs=0.02)
     assert soles[4:, 2] == pytest.approx(0.6, abs=0.02)
     assert soles[:4, :2].mean(axis=0) == pytest.approx(poses[0, :2])
     # From the floor up the first step and on.
-    prints.path(np.array([[1.8, 0.0], [1.95, 0.0], [2.1, 0.0], [2.25, 0.0]]))
+    footprints.path(np.array([[1.8, 0.0], [1.95, 0.0], [2.1, 0.0], [2.25, 0.0]]))
     path = shown(scene, "/path")[:12].reshape(3, 4, 3)
     assert path[:, :, 2].max(axis=1) == pytest.approx([0.0, 0.1, 0.1], abs=0.02)
     marker = Marker(scene, "/goal", height_m=surface_of(STAIRS).height_m)
@@ -73,7 +73,7 @@ def test_footprints_path_and_goal_lie_on_the_ground(scene):
 
 def test_boxes_stand_on_the_ground(scene):
     boxes: list[Obstacle] = []
-    toybox = Toybox(
+    obstacle_editor = ObstacleEditor(
         scene,
         STAIRS,
         on_change=boxes.extend,
@@ -81,7 +81,7 @@ def test_boxes_stand_on_the_ground(scene):
         on_refused=pytest.fail,
         on_click=nothing,
     )
-    toybox.add((4.1, 0.0), (0.4, 0.4))
+    obstacle_editor.add((4.1, 0.0), (0.4, 0.4))
     assert len(boxes) == 1
     drawn = scene._handle_from_node_name["/map/box_0"]
     assert drawn.position[2] == pytest.approx(0.6 + WALL_HEIGHT_M / 2)

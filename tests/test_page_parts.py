@@ -13,7 +13,7 @@ from app.output import ExitCode
 from app.viewer.obstacles import Obstacle, snapped, with_obstacles
 from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, on_floor, toward
-from app.viewer.session import Pace
+from app.viewer.session import SimulationClock
 from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 
@@ -76,43 +76,43 @@ class Clock:
         return self.now_s
 
 
-def ticks_in(pace: Pace, clock: Clock, seconds: float) -> int:
+def ticks_in(clock: SimulationClock, monotonic: Clock, seconds: float) -> int:
     count = 0
     for _ in range(round(seconds / 0.005)):
-        while pace.is_due() and count < 10_000:
-            pace.ticked(0.025)
+        while clock.is_due() and count < 10_000:
+            clock.ticked(0.025)
             count += 1
-        clock.now_s += 0.005
+        monotonic.now_s += 0.005
     return count
 
 
 @pytest.mark.parametrize(("factor", "ticks"), [(1.0, 80), (2.0, 160), (0.0, 0)])
 def test_time_passes_as_fast_as_it_is_told_to(factor, ticks):
-    clock = Clock()
-    pace = Pace(factor, clock)
-    assert ticks_in(pace, clock, 2.0) == pytest.approx(ticks, abs=2)
-    pace.is_due()
-    assert pace.reached == pytest.approx(factor, abs=0.1)
+    monotonic = Clock()
+    clock = SimulationClock(factor, monotonic)
+    assert ticks_in(clock, monotonic, 2.0) == pytest.approx(ticks, abs=2)
+    clock.is_due()
+    assert clock.reached == pytest.approx(factor, abs=0.1)
 
 
 def test_a_robot_that_waits_does_not_hurry():
-    clock = Clock()
-    pace = Pace(math.inf, clock)
-    pace.is_idle = True
-    assert ticks_in(pace, clock, 1.0) == pytest.approx(40, abs=2)
-    pace.is_idle = False
-    assert pace.wait_s() == 0
+    monotonic = Clock()
+    clock = SimulationClock(math.inf, monotonic)
+    clock.is_idle = True
+    assert ticks_in(clock, monotonic, 1.0) == pytest.approx(40, abs=2)
+    clock.is_idle = False
+    assert clock.wait_s() == 0
 
 
 def test_a_long_stop_is_not_made_up_for():
-    clock = Clock()
-    pace = Pace(1.0, clock)
-    ticks_in(pace, clock, 1.0)
-    clock.now_s += 60
-    assert ticks_in(pace, clock, 0.1) < 30
-    clock.now_s += 60
-    pace.skip()
-    assert ticks_in(pace, clock, 0.1) == pytest.approx(4, abs=1)
+    monotonic = Clock()
+    clock = SimulationClock(1.0, monotonic)
+    ticks_in(clock, monotonic, 1.0)
+    monotonic.now_s += 60
+    assert ticks_in(clock, monotonic, 0.1) < 30
+    monotonic.now_s += 60
+    clock.skip()
+    assert ticks_in(clock, monotonic, 0.1) == pytest.approx(4, abs=1)
 
 
 def test_the_status_says_what_is_known_and_no_more():
@@ -147,7 +147,7 @@ def test_the_button_that_is_pressed_is_marked_and_means_the_same():
     [("-1.95,0,0", "the nearest free pose is -"), ("9,0,0", "is off the map")],
 )
 def test_serve_refuses_a_start_where_nobody_can_stand(start, words, capsys, monkeypatch):
-    monkeypatch.setattr("app.commands.serve.opened", pytest.fail)
+    monkeypatch.setattr("app.viewer.page.open_page", pytest.fail)
     assert main(["serve", "--map", "maps/room.png", "--start", start]) == ExitCode.BAD_INPUT
     (line,) = capsys.readouterr().err.splitlines()
     assert f"--start {start}" in line

@@ -14,7 +14,7 @@ import zstandard
 from app.navigation.navigator import Placed
 from app.pictures.rendering import Recording
 from app.viewer.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
-from app.viewer.robot_scene import look_of
+from app.viewer.robot_scene import robot_meshes_of
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import Side
@@ -146,9 +146,9 @@ def test_a_long_walk_gets_fewer_frames(story):
 @pytest.mark.parametrize("name", robot_names())
 def test_each_robot_has_a_look(name):
     robot = get_robot(name)
-    look = look_of(robot)
+    meshes = robot_meshes_of(robot)
     standing = build_scene(robot, timestep_s=0.001).standing_qpos
-    positions, quaternions = look.poses(standing)
-    assert len(positions) == len(quaternions) == len(look.names) == len(look.parts) > 5
-    assert "pelvis" in look.names
-    assert all(parts for parts in look.parts)
+    positions, quaternions = meshes.poses(standing)
+    assert len(positions) == len(quaternions) == len(meshes.names) == len(meshes.parts) > 5
+    assert "pelvis" in meshes.names
+    assert all(parts for parts in meshes.parts)

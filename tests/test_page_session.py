@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from app.navigation.navigator import Navigator, NavigatorConfig
-from app.viewer.live_navigator import Rover
+from app.viewer.live_navigator import LiveNavigator
 from app.viewer.obstacles import Obstacle, snapped
-from app.viewer.planner_process import PatientPlanner
+from app.viewer.planner_process import BlockingPlanner
 from app.viewer.session import Session
 from controller.policy import POLICY_FOLDER, load_policy
 from maps.grid import OccupancyGrid
@@ -27,26 +27,26 @@ POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
 # An empty hall of 8 by 6 m; straight ahead is what every policy that walks can do.
 HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
 AHEAD = (2.0, 0.0, 0.0)
-PATIENCE_S = 120.0
+WAIT_LIMIT_S = 120.0
 
 
 @pytest.fixture
 def session() -> Iterator[Session]:
     session = Session(HALL, ROBOT, POLICY)
-    session.pace.factor = math.inf
+    session.clock.factor = math.inf
     session.start()
     yield session
     session.close()
 
 
 def wait_for(session: Session, wanted: Callable[[Any], object]) -> Any:
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + WAIT_LIMIT_S
     while time.monotonic() < until_s:
         snapshot = session.snapshot
         if wanted(snapshot):
             return snapshot
         time.sleep(0.01)
-    raise AssertionError(f"waited {PATIENCE_S} s; now it is {session.snapshot.status}")
+    raise AssertionError(f"waited {WAIT_LIMIT_S} s; now it is {session.snapshot.status}")
 
 
 def box_at(x_m: float, y_m: float, size_m: float = 0.4) -> Obstacle:
@@ -62,7 +62,7 @@ def test_it_walks_to_a_goal_and_tells_how(session):
     assert end.goal_error[0] < 0.1
     assert end.qpos[0] == pytest.approx(2.0, abs=0.15)
     assert end.notice is None
-    assert session.record.forces()[1:, -1].sum() == pytest.approx(9.81 * ROBOT.mass_kg, rel=0.2)
+    assert session.history.forces()[1:, -1].sum() == pytest.approx(9.81 * ROBOT.mass_kg, rel=0.2)
 
 
 def test_a_goal_off_the_map_is_refused_with_another_on_offer(session):
@@ -70,7 +70,7 @@ def test_a_goal_off_the_map_is_refused_with_another_on_offer(session):
     told = wait_for(session, lambda now: now.notice)
     assert told.notice.text.startswith("no plan: goal:")
     assert told.status == "standing"
-    session.go_to(told.notice.offer)
+    session.go_to(told.notice.alternative)
     wait_for(session, lambda now: now.status == "walking" and now.notice is None)
 
 
@@ -90,7 +90,7 @@ def test_a_new_goal_while_it_walks(session):
 
 
 def test_a_box_in_the_way_is_walked_around(session):
-    session.pace.factor = 4.0
+    session.clock.factor = 4.0
     session.go_to((3.0, 0.0, 0.0))
     wait_for(session, lambda now: len(now.placed_side) >= 1)
     before = session.snapshot.plan
@@ -98,26 +98,26 @@ def test_a_box_in_the_way_is_walked_around(session):
     after = wait_for(session, lambda now: now.replans >= 1 and now.plan is not before)
     near = np.abs(after.plan.pose_world[:, :2] - (1.9, 0.0)).max(axis=1)
     assert near.min() > 0.2
-    assert session._guide.rover.scene.model.body("walls").geomnum == 1
+    assert session._replanner.navigator.scene.model.body("walls").geomnum == 1
 
 
 def test_a_box_that_comes_while_a_walk_is_improved_begins_no_new_walk():
     session = Session(HALL, ROBOT, POLICY)
     try:
-        session._guide.ask(AHEAD, fresh=True)
-        assert session._guide.question is not None
-        session._guide.plan_anew()
-        assert session._guide.question.fresh
+        session._replanner.ask(AHEAD, fresh=True)
+        assert session._replanner.question is not None
+        session._replanner.plan_anew()
+        assert session._replanner.question.fresh
         # Its first plan is walked already, the better one is still being thought of.
-        session._guide._followed_number = session._guide.question.number
-        session._guide.plan_anew()
-        assert not session._guide.question.fresh
+        session._replanner._followed_number = session._replanner.question.number
+        session._replanner.plan_anew()
+        assert not session._replanner.question.fresh
     finally:
         session.close()
 
 
 def test_it_stops_where_the_way_is_closed(session):
-    session.pace.factor = 4.0
+    session.clock.factor = 4.0
     session.go_to((3.0, 0.0, 0.0))
     wait_for(session, lambda now: len(now.placed_side) >= 1)
     session.set_obstacles([box_at(3.0, 0.0, 1.0)])
@@ -142,10 +142,10 @@ def test_it_is_not_put_where_it_cannot_stand_and_another_place_is_offered(sessio
     told = wait_for(session, lambda now: now.notice)
     assert told.notice.text.startswith("the robot cannot stand there: ")
     assert told.notice.puts_robot
-    assert told.notice.offer[0] == pytest.approx(2.0, abs=0.05)
-    assert 2.0 < told.notice.offer[1] < 2.9
+    assert told.notice.alternative[0] == pytest.approx(2.0, abs=0.05)
+    assert 2.0 < told.notice.alternative[1] < 2.9
     assert told.qpos[:2] == pytest.approx((0, 0), abs=0.1)
-    session.reset(told.notice.offer)
+    session.reset(told.notice.alternative)
     moved = wait_for(session, lambda now: now.qpos[1] > 1.5)
     assert moved.notice is None
 
@@ -168,7 +168,7 @@ def test_a_click_on_a_wall_is_told_to_be_one(session):
     told = wait_for(session, lambda now: now.notice)
     assert told.notice.text == "no plan: a wall stands there"
     # On this side of it, not behind.
-    assert 1.0 < told.notice.offer[0] < 1.8
+    assert 1.0 < told.notice.alternative[0] < 1.8
 
 
 def test_where_no_way_leads_the_nearest_place_with_one_is_offered():
@@ -176,16 +176,16 @@ def test_where_no_way_leads_the_nearest_place_with_one_is_offered():
     cells = np.zeros((120, 160), np.uint8)
     cells[:, 70:74] = 1
     session = Session(HALL.with_cells(cells), ROBOT, POLICY)
-    session.pace.factor = math.inf
+    session.clock.factor = math.inf
     session.start()
     try:
         session.go_to((3.0, 0.5, 0.0))
         told = wait_for(session, lambda now: now.notice)
         assert told.notice.text.startswith("no plan: ")
-        x_m, y_m, yaw_rad = told.notice.offer
+        x_m, y_m, yaw_rad = told.notice.alternative
         assert (y_m, yaw_rad) == (pytest.approx(0.5, abs=0.1), 0.0)
         assert 0.9 < x_m < 1.5
-        session.go_to(told.notice.offer)
+        session.go_to(told.notice.alternative)
         wait_for(session, lambda now: now.status == "walking" and now.notice is None)
     finally:
         session.close()
@@ -197,7 +197,7 @@ def test_a_box_cannot_be_set_on_the_robot(session):
 
 
 def test_it_rests_when_it_has_nowhere_to_go(session):
-    session.pace.factor = 1.0
+    session.clock.factor = 1.0
     wait_for(session, lambda now: now.speed > 0.5)
     wait_for(session, lambda now: now.speed == 0)
     session.go_to(AHEAD)
@@ -238,8 +238,10 @@ def test_with_a_goal_it_walks_as_navigate_does(name):
     while walk.outcome is None:
         walk.tick()
     session = Session(HALL, ROBOT, POLICY, goal=AHEAD, seed=3, options=options)
-    assert isinstance(session._guide.rover._planner, PatientPlanner) == (name == "rrtconnect")
-    session.pace.factor = math.inf
+    assert isinstance(session._replanner.navigator._planner, BlockingPlanner) == (
+        name == "rrtconnect"
+    )
+    session.clock.factor = math.inf
     session.start()
     try:
         wait_for(session, lambda _now: session.ended is not None)
@@ -254,12 +256,14 @@ def test_with_a_goal_it_walks_as_navigate_does(name):
 def test_a_robot_that_was_put_anywhere_stands_there_until_it_is_sent():
     start = (1.0, 1.0, 1.0)
     planner = Planner(HALL, ROBOT.step_model)
-    rover = Rover(HALL, ROBOT, POLICY, start=start, goal=start, planner=planner)
-    np.testing.assert_allclose(rover.walker.cursor.window[0].mean(axis=0)[:2], (1, 1), atol=1e-2)
+    navigator = LiveNavigator(HALL, ROBOT, POLICY, start=start, goal=start, planner=planner)
+    np.testing.assert_allclose(
+        navigator.walker.cursor.window[0].mean(axis=0)[:2], (1, 1), atol=1e-2
+    )
     for _ in range(80):
-        rover.tick()
-    assert rover.outcome is None
-    assert np.hypot(*(rover.qpos[-1][:2] - start[:2])) < 0.05
+        navigator.tick()
+    assert navigator.outcome is None
+    assert np.hypot(*(navigator.qpos[-1][:2] - start[:2])) < 0.05
 
 
 def test_a_changed_map_leaves_the_robot_as_it_is():
@@ -267,15 +271,17 @@ def test_a_changed_map_leaves_the_robot_as_it_is():
     ends = []
     for changes in (False, True):
         planner = Planner(HALL, ROBOT.step_model)
-        rover = Rover(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=(0, 0, 0), planner=planner)
-        rover.tick()
-        ahead = rover.ahead()
-        plan = planner.plan(goal=AHEAD, start_feet_world=ahead.feet_world)
-        assert rover.go(AHEAD, plan, ahead, fresh=True)
+        navigator = LiveNavigator(
+            HALL, ROBOT, POLICY, start=(0, 0, 0), goal=(0, 0, 0), planner=planner
+        )
+        navigator.tick()
+        replan_point = navigator.replan_point()
+        plan = planner.plan(goal=AHEAD, start_feet_world=replan_point.feet_world)
+        assert navigator.go(AHEAD, plan, replan_point, fresh=True)
         for tick in range(200):
             if changes and tick == 100:
-                rover.set_grid(HALL.with_cells(np.eye(120, 160, 60, dtype=np.uint8)))
-            rover.tick()
-        ends.append(rover.qpos[-1])
+                navigator.set_grid(HALL.with_cells(np.eye(120, 160, 60, dtype=np.uint8)))
+            navigator.tick()
+        ends.append(navigator.qpos[-1])
     # Not to the bit: the contact solver starts anew.
     np.testing.assert_allclose(ends[1], ends[0], atol=2e-3)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.viewer.obstacles import Obstacle, snapped
-from app.viewer.pointer import FLOOR, WALL, Met, Surface, surface_of
+from app.viewer.pointer import FLOOR, WALL, Surface, SurfaceHit, surface_of
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map
 from sim.scene import WALL_HEIGHT_M
@@ -19,17 +19,17 @@ CELLS[:, 10] = 1
 HALL = OccupancyGrid(cells=CELLS, resolution_m=0.1)
 
 
-def met(surface: Surface, origin: tuple[float, ...], direction: tuple[float, ...]) -> Met:
+def met(surface: Surface, origin: tuple[float, ...], direction: tuple[float, ...]) -> SurfaceHit:
     found = surface.met(origin, direction)
     assert found is not None
     return found
 
 
-def place(found: Met) -> tuple[float, float, float]:
+def place(found: SurfaceHit) -> tuple[float, float, float]:
     return found.x_m, found.y_m, found.z_m
 
 
-def check(found: Met, on: int, place_m: tuple[float, float, float]) -> None:
+def check(found: SurfaceHit, on: int, place_m: tuple[float, float, float]) -> None:
     assert found.on == on
     assert place(found) == pytest.approx(place_m)
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from app.viewer.camera import overview
-from app.viewer.page import Page, drawn, opened
+from app.viewer.page import Page, open_page, painted_in_background
 from app.viewer.snapshot import Notice, Snapshot
 from benchmarks.page_watcher import Watcher
 from controller.policy import POLICY_FOLDER, load_policy
@@ -24,7 +24,7 @@ from sim.robots import get_robot
 ROBOT = get_robot("jvrc1")
 POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
 HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
-PATIENCE_S = 300.0
+WAIT_LIMIT_S = 300.0
 
 
 class Served:
@@ -32,14 +32,14 @@ class Served:
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
-        self.page = self._stack.enter_context(opened(HALL, ROBOT, POLICY, title="test"))
+        self.page = self._stack.enter_context(open_page(HALL, ROBOT, POLICY, title="test"))
         self.server, self.session = self.page.server, self.page.session
-        self.session.pace.factor = math.inf
+        self.session.clock.factor = math.inf
 
     def live(self) -> None:
         """Lets the robot live and the page be drawn."""
         self.session.start()
-        self._stack.enter_context(drawn(self.page))
+        self._stack.enter_context(painted_in_background(self.page))
 
     def close(self) -> None:
         self._stack.close()
@@ -63,9 +63,9 @@ def served() -> Iterator[Served]:
 
 
 def wait_until(wanted: Callable[[], Any], what: str) -> None:
-    until_s = time.monotonic() + PATIENCE_S
+    until_s = time.monotonic() + WAIT_LIMIT_S
     while not wanted():
-        assert time.monotonic() < until_s, f"waited {PATIENCE_S} s in vain: {what}"
+        assert time.monotonic() < until_s, f"waited {WAIT_LIMIT_S} s in vain: {what}"
         time.sleep(0.01)
 
 
@@ -171,7 +171,7 @@ def shown_walk(page: Page, start: Snapshot, frames: int, rng: np.random.Generato
                 path_world=pose[:done, :2],
                 replans=frame,
                 answer_s=frame / 1000,
-                notice=Notice(text=f"notice {frame}", offer=(0, 0, 0)) if frame % 3 else None,
+                notice=Notice(text=f"notice {frame}", alternative=(0, 0, 0)) if frame % 3 else None,
             )
         )
 
@@ -219,8 +219,8 @@ def test_boxes_and_pages_that_come_and_go_leave_nothing_behind(served):
         watcher = Watcher(served.server.url)
         wait_until(lambda: served.page.visitors == 1, "the page is open")
         for place in range(5):
-            served.page.toybox.add((1.0 + place / 2, 1.0), (0.3, 0.3))
-        served.page.toybox.clear()
+            served.page.obstacle_editor.add((1.0 + place / 2, 1.0), (0.3, 0.3))
+        served.page.obstacle_editor.clear()
         watcher.vanish()
         wait_until(lambda: served.page.visitors == 0, "the page is gone")
 
@@ -251,7 +251,7 @@ def test_a_page_opens_as_quickly_after_ages_as_at_first(served):
 
 
 def test_a_robot_that_rests_sends_nothing(served):
-    served.session.pace.factor = 1.0
+    served.session.clock.factor = 1.0
     served.live()
     watcher = Watcher(served.server.url)
 

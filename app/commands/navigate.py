@@ -345,9 +345,9 @@ def viewed(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
 ) -> Iterator[Navigator]:
     """Gives the walk when it is over; on leaving, the page goes on until Ctrl-C."""
-    from app.viewer.page import opened
+    from app.viewer.page import open_page
 
-    with opened(
+    with open_page(
         grid,
         robot,
         policy,

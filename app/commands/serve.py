@@ -71,7 +71,7 @@ _COMPILES = "which is compiled after a change of its code, for half a minute"
 
 def run(options: ServeOptions) -> int:
     """Carries the command out: serves until Ctrl-C."""
-    from app.viewer.page import load_robot, opened
+    from app.viewer.page import load_robot, open_page
 
     grid = read_grid(options)
 
@@ -90,7 +90,7 @@ def run(options: ServeOptions) -> int:
         unknown_is_free=options.unknown_is_free,
         seed=options.seed,
     )
-    with opened(
+    with open_page(
         grid,
         robot,
         policy,
@@ -126,5 +126,9 @@ def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> No
         raise InputError(f"{wanted} is off the map")
     stand = place_to_stand(grid, robot.step_model, options.unknown_is_free, options.start)
     if stand.blocked:
-        near = "none within 2 m" if stand.offer is None else "{:g},{:g},{:g}".format(*stand.offer)
+        near = (
+            "none within 2 m"
+            if stand.alternative is None
+            else "{:g},{:g},{:g}".format(*stand.alternative)
+        )
         raise InputError(f"{wanted}: {stand.blocked}; the nearest free pose is {near}")

@@ -68,7 +68,7 @@ class Placed:
         return abs(float(wrap_angle(self.placed_world[3] - self.asked_world[3])))
 
 
-class PlansSteps(Protocol):
+class FootstepPlanner(Protocol):
     """What the navigator asks for plans; `planner.planner.Planner` is one."""
 
     def plan(
@@ -95,7 +95,7 @@ class Navigator:
         goal: Sequence[float],
         seed: int = 0,
         config: NavigatorConfig | None = None,
-        planner: PlansSteps | None = None,
+        planner: FootstepPlanner | None = None,
     ):
         self.config = config or NavigatorConfig()
         self.grid, self.robot, self.policy = grid, robot, policy

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.navigation.navigator import Navigator, Placed, PlansSteps
+from app.navigation.navigator import FootstepPlanner, Navigator, Placed
 from app.navigation.report import Outcome
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
@@ -23,7 +23,7 @@ _REST_AFTER_S = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ahead:
+class ReplanPoint:
     """The next moment at which another plan can be taken up.
 
     feet_world (2, 4): where the feet will be then. first_side: which must step first; None while
@@ -35,7 +35,7 @@ class Ahead:
     landing: int
 
 
-class Rover(Navigator):
+class LiveNavigator(Navigator):
     """A navigator whose plans come from outside, whenever they are ready.
 
     In mid-step the robot cannot change its mind: a plan from `ahead()` waits until the foot in the
@@ -51,7 +51,7 @@ class Rover(Navigator):
 
     @property
     def has_ended(self) -> bool:
-        """Whether it fell or ran into something: only a new rover helps."""
+        """Whether it fell or ran into something: only a new navigator helps."""
         return self.outcome in (Outcome.FELL, Outcome.COLLIDED)
 
     @property
@@ -74,12 +74,12 @@ class Rover(Navigator):
             return "planning"
         return "walking" if self.going else "standing"
 
-    def ahead(self) -> Ahead:
+    def replan_point(self) -> ReplanPoint:
         """Where and when the next plan can be taken up."""
         cursor = self.walker.cursor
         feet = self._feet()
         if cursor.standing[0]:
-            return Ahead(feet_world=feet, first_side=None, landing=self.landings)
+            return ReplanPoint(feet_world=feet, first_side=None, landing=self.landings)
         if cursor.entry[0] < STANCE:
             # Its weight is on the way to the first support foot; the first step lands next.
             first = Side(int(cursor.side[0])).other
@@ -88,16 +88,20 @@ class Rover(Navigator):
             first = Side(int(cursor.side[0]))
             if cursor.swinging[0]:
                 feet[first] = cursor.window[0, 0]
-        return Ahead(feet_world=feet, first_side=first.other, landing=self.landings + 1)
+        return ReplanPoint(feet_world=feet, first_side=first.other, landing=self.landings + 1)
 
-    def go(self, goal: Sequence[float], plan: FootstepPlan, ahead: Ahead, *, fresh: bool) -> bool:
-        """Follows a plan made from `ahead`; false when that moment is over.
+    def go(
+        self, goal: Sequence[float], plan: FootstepPlan, replan_point: ReplanPoint, *, fresh: bool
+    ) -> bool:
+        """Follows a plan made from `replan_point`; false when that moment is over.
 
         With `fresh` a new walk begins: what is known of the one before is forgotten.
         """
         standing = bool(self.walker.cursor.standing[0])
-        now = ahead.landing == self.landings and standing and ahead.first_side is None
-        if not now and (ahead.first_side is None or ahead.landing != self.landings + 1):
+        now = replan_point.landing == self.landings and standing and replan_point.first_side is None
+        if not now and (
+            replan_point.first_side is None or replan_point.landing != self.landings + 1
+        ):
             return False
         if fresh:
             self.plans, self.placed, self.followed = [], [], []
@@ -109,30 +113,30 @@ class Rover(Navigator):
             self._waiting = None
             self._follow(plan, wait_ticks=0, walking=False)
         else:
-            self._waiting = plan, ahead.landing
+            self._waiting = plan, replan_point.landing
         return True
 
     def halt(self) -> None:
         """Puts the feet side by side as soon as it can, and stands there."""
-        ahead = self.ahead()
-        if ahead.first_side is None:
+        replan_point = self.replan_point()
+        if replan_point.first_side is None:
             self._waiting, self.going, self.halted, self.idle_s = None, False, True, 0.0
             return
-        support = ahead.feet_world[ahead.first_side.other]
-        feet = _beside(support, ahead.first_side, self.robot.step_model.stance_width_m)
+        support = replan_point.feet_world[replan_point.first_side.other]
+        feet = _beside(support, replan_point.first_side, self.robot.step_model.stance_width_m)
         feet = self._footing.at_rest(feet)
-        goal, start = pair_pose(feet), pair_pose(ahead.feet_world)
+        goal, start = pair_pose(feet), pair_pose(replan_point.feet_world)
         plan = FootstepPlan(
-            start_feet_world=ahead.feet_world,
+            start_feet_world=replan_point.feet_world,
             start=(start[0], start[1], start[2]),
             goal=(goal[0], goal[1], goal[2]),
-            side=np.array([ahead.first_side], np.int8),
-            pose_world=feet[ahead.first_side][None],
+            side=np.array([replan_point.first_side], np.int8),
+            pose_world=feet[replan_point.first_side][None],
         )
-        self.go(plan.goal, plan, ahead, fresh=False)
+        self.go(plan.goal, plan, replan_point, fresh=False)
         self.halted = True
 
-    def use_planner(self, planner: PlansSteps) -> None:
+    def use_planner(self, planner: FootstepPlanner) -> None:
         """Asks this one from now on."""
         self._planner = planner
 

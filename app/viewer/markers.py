@@ -27,7 +27,7 @@ _OUT_OF_SIGHT_M = -1.0
 _ROOM = 128
 
 
-class Prints:
+class Footprints:
     """Footprints on the floor: planned (pale), the next two (full), placed (their edges)."""
 
     def __init__(self, scene: viser.SceneApi, grid: OccupancyGrid, foot: FootShape) -> None:
@@ -164,14 +164,14 @@ def _edge(foot: FootShape) -> np.ndarray:
     )
 
 
-# Arrows that stand for poses: where the robot goes, where it is wished, what was refused.
+# Arrows at poses: the goal, a requested goal, a refused one.
 
 # The pictures of plans have the same colour, written blue, green, red.
 GOAL_RGB: Rgb = GOAL[::-1]
 _PALE_RGB = (240, 170, 160)
 _REFUSED_RGB = (105, 108, 115)
 # As the button that takes what is on offer.
-_OFFER_RGB = (253, 126, 20)
+_ALTERNATIVE_RGB = (253, 126, 20)
 _ABOVE_M = 0.04
 _LABEL_M = (0.18, 0.0, 0.12)
 
@@ -210,14 +210,16 @@ class Marker:
             self._arrow.wxyz = turned(pose[2])
 
 
-class Signs:
+class PoseMarkers:
     """The arrows of a page. `height_m` of a pose is that of floor, wall or box there."""
 
     def __init__(self, scene: viser.SceneApi, height_m: Callable[[Sequence[float]], float]) -> None:
         self._goal = Marker(scene, "/goal", height_m=height_m)
-        self._wished = Marker(scene, "/wished", _PALE_RGB, height_m=height_m)
+        self._requested = Marker(scene, "/requested", _PALE_RGB, height_m=height_m)
         self._refused = Marker(scene, "/refused", _REFUSED_RGB, word="refused", height_m=height_m)
-        self._offer = Marker(scene, "/offer", _OFFER_RGB, word="nearest free", height_m=height_m)
+        self._alternative = Marker(
+            scene, "/alternative", _ALTERNATIVE_RGB, word="nearest free", height_m=height_m
+        )
         self._pointed: Pose | None = None
         self._shown: tuple[Pose | None, ...] = (None,) * 4
 
@@ -228,9 +230,11 @@ class Signs:
     def show(self, snapshot: Snapshot) -> None:
         """Shows what holds; what has not changed is left alone."""
         notice = snapshot.notice
-        refused, offer = (None, None) if notice is None else (notice.refused, notice.offer)
-        new = snapshot.goal, self._pointed or snapshot.wished, refused, offer
-        markers = self._goal, self._wished, self._refused, self._offer
+        refused, alternative = (
+            (None, None) if notice is None else (notice.refused, notice.alternative)
+        )
+        new = snapshot.goal, self._pointed or snapshot.requested, refused, alternative
+        markers = self._goal, self._requested, self._refused, self._alternative
         for marker, pose, before in zip(markers, new, self._shown, strict=True):
             if pose != before:
                 marker.show(pose)

@@ -29,7 +29,7 @@ class Stand:
     """Why the robot cannot stand somewhere, empty if it can, and the nearest place where it can."""
 
     blocked: str
-    offer: Pose | None = None
+    alternative: Pose | None = None
 
 
 def place_to_stand(
@@ -40,7 +40,7 @@ def place_to_stand(
     blocked = what_blocks(grid, terrain, model, feet_at(pose, model.stance_width_m))
     if not blocked:
         return Stand(blocked="")
-    return Stand(blocked=blocked, offer=free_pose(grid, terrain, model, pose))
+    return Stand(blocked=blocked, alternative=free_pose(grid, terrain, model, pose))
 
 
 def free_pose(

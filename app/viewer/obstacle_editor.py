@@ -18,7 +18,7 @@ BOX_RGB = (214, 126, 36)
 MOST_BOXES = 50
 
 
-class Toybox:
+class ObstacleEditor:
     """Adds, moves and removes boxes; `on_change` gets all of them whenever they change.
 
     `is_refused(obstacle)` says why a box cannot stand somewhere, or nothing; a box that is dragged

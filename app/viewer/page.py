@@ -14,8 +14,8 @@ from app.options import find_follower
 from app.output import as_bad_input
 from app.viewer.camera import Cameras
 from app.viewer.map_scene import add_floor
-from app.viewer.markers import Prints, Signs
-from app.viewer.obstacle_editor import Toybox
+from app.viewer.markers import Footprints, PoseMarkers
+from app.viewer.obstacle_editor import ObstacleEditor
 from app.viewer.obstacles import Obstacle
 from app.viewer.panel import Actions, Panel
 from app.viewer.pointer import (
@@ -23,13 +23,13 @@ from app.viewer.pointer import (
     ROBOT,
     WALL,
     FloorPointer,
-    Met,
     Pointed,
+    SurfaceHit,
     Tool,
     facing,
     surface_of,
 )
-from app.viewer.robot_scene import Figure, look_of
+from app.viewer.robot_scene import RobotScene, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session
 from app.viewer.snapshot import Notice, Snapshot
@@ -49,7 +49,7 @@ _IN_THE_WAY = {WALL: "a wall", 0: "a box"}
 
 
 class Page:
-    """Shows a session to whoever opens the page, and passes on what they wish.
+    """Shows a session to whoever opens the page, and passes their commands on.
 
     Words are shown anew every `text_every_s`, plots every `plot_every_s`, all else at every frame.
     """
@@ -78,8 +78,8 @@ class Page:
             meets_robot=self._meets_robot,
             on_drag=self._dragged,
         )
-        self._signs = Signs(scene, self._pointer.height_m)
-        self.toybox = Toybox(
+        self._pose_markers = PoseMarkers(scene, self._pointer.height_m)
+        self.obstacle_editor = ObstacleEditor(
             scene,
             grid,
             on_change=self._boxes_changed,
@@ -89,27 +89,27 @@ class Page:
             on_drag=self._dragged,
         )
         self._pointer.watch(add_floor(scene, grid))
-        self._prints = Prints(scene, grid, robot.step_model.foot)
-        self._figure = Figure(scene, look_of(robot))
+        self._footprints = Footprints(scene, grid, robot.step_model.foot)
+        self._robot_scene = RobotScene(scene, robot_meshes_of(robot))
         actions = Actions(
             go=session.go_to,
             put=session.reset,
             stop=session.stop,
             reset=session.reset,
             use_tool=self._use,
-            set_speed=lambda factor: setattr(session.pace, "factor", factor),
+            set_speed=lambda factor: setattr(session.clock, "factor", factor),
             set_options=session.set_options,
             set_robot=self._set_robot,
             toggle_follow=lambda client_id: self._cameras.toggle(client_id),
-            clear_boxes=self.toybox.clear,
-            remove_box=self.toybox.remove_last,
+            clear_boxes=self.obstacle_editor.clear,
+            remove_box=self.obstacle_editor.remove_last,
         )
         self._panel = Panel(
             server.gui, actions, robots=robots, robot=robot.name, options=session.options
         )
         self._cameras = Cameras(server, grid, order=self._panel.switch_order)
         # Whoever goes in the middle of a drag points at nothing any more.
-        server.on_client_disconnect(lambda _client: self._signs.point(None))
+        server.on_client_disconnect(lambda _client: self._pose_markers.point(None))
 
     @property
     def visitors(self) -> int:
@@ -131,10 +131,10 @@ class Page:
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment; what has not changed since the last is left alone."""
         with self._drawing, self.server.atomic():
-            if len(snapshot.qpos) != self._figure.length:
+            if len(snapshot.qpos) != self._robot_scene.length:
                 return  # The robot has just been exchanged for another one.
-            self._figure.pose(snapshot.qpos)
-            self._signs.show(snapshot)
+            self._robot_scene.pose(snapshot.qpos)
+            self._pose_markers.show(snapshot)
             self._show_steps(snapshot)
             self._shown = snapshot
         place = snapshot.qpos[:2]
@@ -145,19 +145,19 @@ class Page:
             self._panel.show(snapshot, self._own_notice(now_s))
         if now_s - self._plot_s >= self.plot_every_s:
             self._plot_s = now_s
-            self._panel.plots.show_forces(self.session.record.forces())
+            self._panel.plots.show_forces(self.session.history.forces())
 
     def _show_steps(self, new: Snapshot) -> None:
-        old, prints = self._shown, self._prints
+        old, footprints = self._shown, self._footprints
         if old is None or new.plan is not old.plan or new.done != old.done:
             side = np.zeros(0, np.int8) if new.plan is None else new.plan.side
             pose = np.zeros((0, 4)) if new.plan is None else new.plan.pose_world
             ahead = new.done + 2
-            prints.plan(side[ahead:], pose[ahead:])
-            prints.next_two(side[new.done : ahead], pose[new.done : ahead])
+            footprints.plan(side[ahead:], pose[ahead:])
+            footprints.next_two(side[new.done : ahead], pose[new.done : ahead])
         if old is None or new.placed_side is not old.placed_side:
-            prints.placed(new.placed_side, new.placed_world)
-            prints.path(new.path_world)
+            footprints.placed(new.placed_side, new.placed_world)
+            footprints.path(new.path_world)
             self._panel.plots.show_errors(new.placed_side, new.foot_error_m)
 
     def _own_notice(self, now_s: float) -> Notice | None:
@@ -171,7 +171,7 @@ class Page:
     def _use(self, tool: Tool) -> None:
         self._tool = tool
         self._pointer.use(tool)
-        self.toybox.use(can_move=tool is Tool.BOX)
+        self.obstacle_editor.use(can_move=tool is Tool.BOX)
 
     def _pointed(self, pointed: Pointed, on: int, is_final: bool) -> None:
         if self._tool is Tool.BOX:
@@ -181,7 +181,7 @@ class Page:
         w, x, y, z = qpos[3:7]
         yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
         pose = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
-        self._signs.point(None if is_final else pose)
+        self._pose_markers.point(None if is_final else pose)
         if is_final and self._tool is Tool.ROBOT:
             self.session.reset(pose)
         elif is_final:
@@ -193,15 +193,15 @@ class Page:
         elif on == WALL:
             self._say("a wall stands there: boxes stand on the floor")
         elif on == FLOOR:
-            self.toybox.add(pointed[:2], self._panel.box_size_m)
+            self.obstacle_editor.add(pointed[:2], self._panel.box_size_m)
         else:
-            self.toybox.remove(on)
+            self.obstacle_editor.remove(on)
 
-    def _meets_robot(self, origin: ArrayLike, direction: ArrayLike) -> tuple[float, Met]:
+    def _meets_robot(self, origin: ArrayLike, direction: ArrayLike) -> tuple[float, SurfaceHit]:
         x_m, y_m = (float(value) for value in self.session.snapshot.qpos[:2])
         ground_m = float(self.session.grid.height_m((x_m, y_m)))
-        where = Met(x_m=x_m, y_m=y_m, z_m=ground_m, on=ROBOT)
-        return self._figure.met_after_m(origin, direction), where
+        where = SurfaceHit(x_m=x_m, y_m=y_m, z_m=ground_m, on=ROBOT)
+        return self._robot_scene.hit_distance_m(origin, direction), where
 
     def _boxes_changed(self, obstacles: Sequence[Obstacle]) -> None:
         self._pointer.see_boxes(obstacles)
@@ -217,17 +217,19 @@ class Page:
         """Exchanges the robot; one without a policy is refused."""
         try:
             robot, policy = self._load(name)
-            look = look_of(robot)
+            meshes = robot_meshes_of(robot)
         except Exception as error:
             # Whatever is wrong with a robot is told on the page, and the one that is there stays.
             self._say(f"{name} cannot be chosen: {error}")
             return
         with self._drawing:
-            self._figure.remove()
-            self._prints.clear()
+            self._robot_scene.remove()
+            self._footprints.clear()
             self.session.set_robot(robot, policy)
-            self._prints = Prints(self.server.scene, self.session.grid, robot.step_model.foot)
-            self._figure = Figure(self.server.scene, look)
+            self._footprints = Footprints(
+                self.server.scene, self.session.grid, robot.step_model.foot
+            )
+            self._robot_scene = RobotScene(self.server.scene, meshes)
             self._shown = None
 
 
@@ -246,7 +248,7 @@ def load_robot(name: str) -> tuple[Robot, Policy]:
 
 
 @contextlib.contextmanager
-def opened(
+def open_page(
     grid: OccupancyGrid,
     robot: Robot,
     policy: Policy,
@@ -277,7 +279,7 @@ def opened(
 
 
 @contextlib.contextmanager
-def drawn(page: Page) -> Iterator[None]:
+def painted_in_background(page: Page) -> Iterator[None]:
     """Lets a thread of its own draw the page meanwhile."""
     ends = threading.Event()
     painter = threading.Thread(target=lambda: page.run(ends.is_set), name="painter")

@@ -181,25 +181,25 @@ class Panel:
         refused = None if news is None else news.refused
         is_start = news is not None and news.puts_robot
         self._start.show(snapshot.start, anew=refused is not None and is_start)
-        goal = snapshot.wished or snapshot.goal or (None if is_start else refused)
+        goal = snapshot.requested or snapshot.goal or (None if is_start else refused)
         self._goal.show(goal, anew=refused is not None and not is_start)
 
     def _show_notice(self, notice: Notice | None) -> None:
         self._heard = notice
         self._notice.content = "" if notice is None else f"⚠️ {notice.text}"
         self._notice.visible = notice is not None
-        self._take_offer.visible = notice is not None and notice.offer is not None
-        if notice is not None and notice.offer is not None:
+        self._take_offer.visible = notice is not None and notice.alternative is not None
+        if notice is not None and notice.alternative is not None:
             self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
 
     def _accept(self) -> None:
         notice = self._heard
-        if notice is None or notice.offer is None:
+        if notice is None or notice.alternative is None:
             return
         if notice.puts_robot:
-            self._actions.put(notice.offer)
+            self._actions.put(notice.alternative)
         else:
-            self._actions.go(notice.offer)
+            self._actions.go(notice.alternative)
 
     def _add_tools(self) -> None:
         self._tools = self._gui.add_button_group("Pointer", marked(Tool, Tool.GOAL))

@@ -41,12 +41,12 @@ class Query:
 class Answer:
     """A plan for the query of that number; after the first may come one better one.
 
-    `offer` is a pose near by that would do when the goal of the query does not.
+    `alternative` is a pose near by that would do when the goal of the query does not.
     """
 
     number: int
     plan: FootstepPlan
-    offer: Pose | None = None
+    alternative: Pose | None = None
     is_last: bool = True
 
 
@@ -139,8 +139,10 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
         return
     plan = planners.quick.plan(**asked)
     improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
-    offer = None if plan.found else _offer(world, planners.quick, query, plan.status)
-    pipe.send(Answer(number=query.number, plan=plan, offer=offer, is_last=not improvable))
+    alternative = None if plan.found else _alternative(world, planners.quick, query, plan.status)
+    pipe.send(
+        Answer(number=query.number, plan=plan, alternative=alternative, is_last=not improvable)
+    )
     if improvable and not pipe.poll():
         better = planners.thorough.plan(**asked)
         # Off the lattice the better start may come out dearer.
@@ -149,7 +151,7 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
         pipe.send(Answer(number=query.number, plan=plan))
 
 
-def _offer(world: World, planner: Planner, query: Query, status: PlanStatus) -> Pose | None:
+def _alternative(world: World, planner: Planner, query: Query, status: PlanStatus) -> Pose | None:
     """A pose that would do instead of the goal, if there is one near."""
     terrain = terrain_of(world.grid, world.options.unknown_is_free)
     if status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
@@ -166,22 +168,22 @@ def _offer(world: World, planner: Planner, query: Query, status: PlanStatus) -> 
 
 
 # How long the robot may wait for a plan between two steps; its physics catch up afterwards.
-PATIENCE_S = 0.2
+WAIT_LIMIT_S = 0.2
 # Longer than any planner takes that is still alive.
 _ENDLESS_S = 600.0
 # A planner that has died so often before it was ready will not do better.
 _MOST_STARTS = 3
 
 
-class PlanningProcess:
+class PlannerProcess:
     """Asks a planner in another process; used from one thread.
 
-    `ask` and `answers` never wait. `plan` waits for at most `patience_s`, and says that time ran
+    `ask` and `answers` never wait. `plan` waits for at most `wait_limit_s`, and says that time ran
     out when there is nothing by then.
     """
 
-    def __init__(self, world: World, *, patience_s: float = PATIENCE_S) -> None:
-        self.patience_s = patience_s
+    def __init__(self, world: World, *, wait_limit_s: float = WAIT_LIMIT_S) -> None:
+        self.wait_limit_s = wait_limit_s
         self._world = world
         self._number = 0
         self._open: Query | None = None
@@ -262,11 +264,11 @@ class PlanningProcess:
 
         once: the plan that the world's options make as they stand, however long it takes.
         """
-        patience_s = _ENDLESS_S if once else self.patience_s
+        wait_limit_s = _ENDLESS_S if once else self.wait_limit_s
         began = time.monotonic()
         self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=once)
         best: FootstepPlan | None = None
-        while (left_s := patience_s - (time.monotonic() - began)) > 0:
+        while (left_s := wait_limit_s - (time.monotonic() - began)) > 0:
             self._receive(left_s)
             for answer in self.answers():
                 best = answer.plan
@@ -280,7 +282,7 @@ class PlanningProcess:
             start=(start[0], start[1], start[2]),
             goal=(end[0], end[1], end[2]),
             status=PlanStatus.TIMED_OUT,
-            reason=f"no plan within {patience_s:g} s",
+            reason=f"no plan within {wait_limit_s:g} s",
             epsilon=math.inf,
             time_s=time.monotonic() - began,
         )
@@ -328,13 +330,13 @@ class PlanningProcess:
         self._start()
 
 
-class PatientPlanner:
+class BlockingPlanner:
     """Asks a planner in another process and waits until it is done, as if it were in this one.
 
     For planners that would hold Python's global lock, and so the page, for as long as they plan.
     """
 
-    def __init__(self, process: PlanningProcess) -> None:
+    def __init__(self, process: PlannerProcess) -> None:
         self._process = process
 
     def plan(

@@ -26,7 +26,7 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Met:
+class SurfaceHit:
     """A point of the world that a ray met, and what is there: FLOOR, WALL or a box's number.
 
     Of the ROBOT it is the point on the ground where that stands.
@@ -68,7 +68,7 @@ class Surface:
         inside = 0 <= row < rows and 0 <= col < cols
         return float(self.top_m[row, col] if inside else self.top_m.min())
 
-    def met(self, origin: ArrayLike, direction: ArrayLike) -> Met | None:
+    def met(self, origin: ArrayLike, direction: ArrayLike) -> SurfaceHit | None:
         """What a ray from a point (3,) of the world meets first; None if it never does.
 
         Beyond the map's edge there is floor as low as the lowest. What the ray begins in is glass.
@@ -119,9 +119,9 @@ class Surface:
         inner = np.unique(lines[(lines > enter) & (lines < leave)])
         return np.concatenate([[enter], inner, [leave]]) if enter < leave else np.zeros(0)
 
-    def _at(self, point: FloatArray, on: int) -> Met:
+    def _at(self, point: FloatArray, on: int) -> SurfaceHit:
         x_m, y_m = (float(value) for value in self.grid.grid_to_world(point[:2]))
-        return Met(x_m=x_m, y_m=y_m, z_m=float(point[2]), on=on)
+        return SurfaceHit(x_m=x_m, y_m=y_m, z_m=float(point[2]), on=on)
 
 
 def surface_of(grid: OccupancyGrid) -> Surface:
@@ -163,7 +163,7 @@ class FloorPointer:
     """Turns clicks and drags on the map into poses.
 
     `on_pose(pointed, on, is_final)` is called also while a drag goes on; a click leaves the heading
-    open. `on` says what was pointed at, see `Met`. `on_drag(client_id)` is called for each piece of
+    open. `on` says what was hit, see `SurfaceHit`. `on_drag(client_id)` is called for each piece of
     a drag. `meets_robot(origin, direction)` says how far along a ray the robot is met, and where it
     stands. With the tool LOOK a drag on the floor turns the camera.
     """
@@ -173,12 +173,12 @@ class FloorPointer:
         on_pose: Callable[[Pointed, int, bool], None],
         surface: Surface,
         *,
-        meets_robot: Callable[[ArrayLike, ArrayLike], tuple[float, Met]],
+        meets_robot: Callable[[ArrayLike, ArrayLike], tuple[float, SurfaceHit]],
         on_drag: Callable[[int], None] = lambda _client_id: None,
     ) -> None:
         self._on_pose, self._on_drag, self._meets_robot = on_pose, on_drag, meets_robot
         # What the drag of each page began on.
-        self._begun: dict[int, Met | None] = {}
+        self._begun: dict[int, SurfaceHit | None] = {}
         self._bare = self._surface = surface
         self._floor: viser.BoxHandle | None = None
         self._tool = Tool.GOAL
@@ -234,7 +234,7 @@ class FloorPointer:
         if point is not None:
             self._on_pose(toward((met.x_m, met.y_m), point), met.on, event.phase == "end")
 
-    def _met(self, origin: ArrayLike, direction: ArrayLike) -> Met | None:
+    def _met(self, origin: ArrayLike, direction: ArrayLike) -> SurfaceHit | None:
         met = self._surface.met(origin, direction)
         away_m, robot = self._meets_robot(origin, direction)
         if met is None:

@@ -13,8 +13,8 @@ from app.output import ProgressBar, write_text
 from app.pictures.rendering import Recording
 from app.viewer.camera import aim_pages, overview
 from app.viewer.map_scene import add_floor
-from app.viewer.markers import Marker, Prints
-from app.viewer.robot_scene import Figure, look_of
+from app.viewer.markers import Footprints, Marker
+from app.viewer.robot_scene import RobotScene, robot_meshes_of
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
@@ -50,8 +50,8 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
         add_floor(server.scene, grid)
         goal = Marker(server.scene, "/goal", height_m=lambda pose: float(grid.height_m(pose[:2])))
         goal.show(story.goal)
-        prints = Prints(server.scene, grid, robot.step_model.foot)
-        stage = _Stage(Figure(server.scene, look_of(robot)), prints)
+        footprints = Footprints(server.scene, grid, robot.step_model.foot)
+        stage = _Stage(RobotScene(server.scene, robot_meshes_of(robot)), footprints)
         frames = frame_indices(story.recording)
         stage.show(story, 0)
         recorder = server.get_scene_serializer()
@@ -80,13 +80,13 @@ def frame_indices(recording: Recording) -> np.ndarray:
 class _Stage:
     """Shows one moment of a story; what has not changed since the last is not sent again."""
 
-    def __init__(self, figure: Figure, prints: Prints) -> None:
-        self._figure = figure
-        self._prints = prints
+    def __init__(self, robot_scene: RobotScene, footprints: Footprints) -> None:
+        self._robot_scene = robot_scene
+        self._footprints = footprints
         self._shown = (-1, -1)
 
     def show(self, story: Story, moment: int) -> None:
-        self._figure.pose(story.recording.qpos[moment])
+        self._robot_scene.pose(story.recording.qpos[moment])
         time_s = float(story.recording.time_s[moment])
         plans = sum(begun_s <= time_s for begun_s, _ in story.plans)
         placed = sum(step.time_s <= time_s for step in story.placed)
@@ -95,10 +95,12 @@ class _Stage:
         self._shown = plans, placed
         begun_s, plan = story.plans[plans - 1]
         done = sum(begun_s < step.time_s <= time_s for step in story.placed)
-        self._prints.plan(plan.side[done + 2 :], plan.pose_world[done + 2 :])
-        self._prints.next_two(plan.side[done : done + 2], plan.pose_world[done : done + 2])
+        self._footprints.plan(plan.side[done + 2 :], plan.pose_world[done + 2 :])
+        self._footprints.next_two(plan.side[done : done + 2], plan.pose_world[done : done + 2])
         steps = story.placed[:placed]
         side = np.array([step.side for step in steps], np.int8)
-        self._prints.placed(side, np.array([step.placed_world for step in steps]).reshape(-1, 4))
+        self._footprints.placed(
+            side, np.array([step.placed_world for step in steps]).reshape(-1, 4)
+        )
         # Four points a second make a smooth path.
-        self._prints.path(story.recording.qpos[: moment + 1 : 10, :2])
+        self._footprints.path(story.recording.qpos[: moment + 1 : 10, :2])

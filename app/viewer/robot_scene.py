@@ -31,7 +31,7 @@ class Part:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Look:
+class RobotMeshes:
     """What a robot looks like: the model's bodies that are drawn, by name, and their parts."""
 
     model: mujoco.MjModel
@@ -44,7 +44,7 @@ class Look:
         data = self._at(qpos)
         return data.xpos[self.body_ids], data.xquat[self.body_ids]
 
-    def met_after_m(self, qpos: np.ndarray, origin: ArrayLike, direction: ArrayLike) -> float:
+    def hit_distance_m(self, qpos: np.ndarray, origin: ArrayLike, direction: ArrayLike) -> float:
         """How far from its origin (3,) a ray meets the robot at qpos (nq,); infinite if never."""
         along = np.array(direction, float)
         along /= np.linalg.norm(along)
@@ -62,7 +62,7 @@ class Look:
         return data
 
 
-def look_of(robot: Robot) -> Look:
+def robot_meshes_of(robot: Robot) -> RobotMeshes:
     """The robot's meshes, or its collision shapes if it has none, gathered by body and colour."""
     model = build_scene(robot, timestep_s=_TIMESTEP_S, visuals=True).model
     group = _drawn_group(model)
@@ -73,7 +73,7 @@ def look_of(robot: Robot) -> Look:
         shape = _shape(model, int(geom))
         gathered[int(model.geom_bodyid[geom])][red, green, blue].append(shape)
     body_ids = sorted(gathered)
-    return Look(
+    return RobotMeshes(
         model=model,
         body_ids=np.array(body_ids),
         names=tuple(model.body(body).name for body in body_ids),
@@ -136,15 +136,15 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
 ROOT = "/robot"
 
 
-class Figure:
+class RobotScene:
     """The robot as drawn; `pose` moves it. A robot drawn before under the same name goes."""
 
-    def __init__(self, scene: viser.SceneApi, look: Look) -> None:
-        self._look = look
+    def __init__(self, scene: viser.SceneApi, meshes: RobotMeshes) -> None:
+        self._meshes = meshes
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._bodies = []
         self._posed = np.zeros(0)
-        for name, parts in zip(look.names, look.parts, strict=True):
+        for name, parts in zip(meshes.names, meshes.parts, strict=True):
             self._bodies.append(scene.add_frame(f"{ROOT}/{name}", show_axes=False))
             for index, part in enumerate(parts):
                 scene.add_mesh_simple(
@@ -158,23 +158,23 @@ class Figure:
     @property
     def length(self) -> int:
         """How many numbers a state of this robot has."""
-        return int(self._look.model.nq)
+        return int(self._meshes.model.nq)
 
     def pose(self, qpos: np.ndarray) -> None:
         """Puts every body where it is at qpos (nq,); nothing is to do where it is already."""
         if np.array_equal(qpos, self._posed):
             return
         self._posed = np.array(qpos)
-        positions, quaternions = self._look.poses(qpos)
+        positions, quaternions = self._meshes.poses(qpos)
         for body, position, wxyz in zip(self._bodies, positions, quaternions, strict=True):
             body.position = position.round(4)
             body.wxyz = wxyz.round(5)
 
-    def met_after_m(self, origin: ArrayLike, direction: ArrayLike) -> float:
+    def hit_distance_m(self, origin: ArrayLike, direction: ArrayLike) -> float:
         """How far from its origin (3,) a ray meets the robot as drawn; infinite if it does not."""
         if not len(self._posed):
             return math.inf
-        return self._look.met_after_m(self._posed, origin, direction)
+        return self._meshes.hit_distance_m(self._posed, origin, direction)
 
     def remove(self) -> None:
         """Takes the robot out of the scene."""

@@ -39,12 +39,12 @@ class OneThreadEvent(asyncio.Event):
             super().set()
 
 
-def calm(buffer: Any) -> None:
+def make_thread_safe(buffer: Any) -> None:
     """Lets any thread write to this buffer of viser's; see OneThreadEvent."""
     buffer.message_event = OneThreadEvent(buffer.event_loop)
 
 
-def shorten(buffer: Any) -> None:
+def skip_superseded(buffer: Any) -> None:
     """Lets a page that opens get what this buffer keeps without a look at what it does not.
 
     viser numbers all messages that there ever were, keeps the latest of each kind, and looks every
@@ -109,13 +109,15 @@ class PageServer(viser.ViserServer):
         """Refuses: what is served here is for those who can reach this machine."""
         return None
 
-    def calm(self) -> None:
+    def make_thread_safe(self) -> None:
         """Makes viser's buffers bear many threads and long hours; before any page is open."""
         messages = self._websock_server
-        calm(messages.get_message_buffer())
-        shorten(messages.get_message_buffer())
+        make_thread_safe(messages.get_message_buffer())
+        skip_superseded(messages.get_message_buffer())
         # These run before anybody waits for the messages of a new page.
-        messages.on_client_connect(lambda connection: calm(connection.get_message_buffer()))
+        messages.on_client_connect(
+            lambda connection: make_thread_safe(connection.get_message_buffer())
+        )
 
     def stop(self) -> None:
         """Ends the server, without viser's word about it on standard output."""
@@ -139,7 +141,7 @@ def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
     # viser announces itself on standard output, which belongs to results.
     with contextlib.redirect_stdout(io.StringIO()):
         server = PageServer(host=host, port=port, label=title, verbose=False)
-    server.calm()
+    server.make_thread_safe()
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
 

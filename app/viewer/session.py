@@ -1,4 +1,4 @@
-"""One robot on one map, living in a thread of its own: it takes wishes and shows snapshots."""
+"""One robot on one map in a physics thread of its own: it takes commands and gives snapshots."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from app.navigation.navigator import Navigator, NavigatorConfig, PlansSteps
+from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.output import InputError
-from app.viewer.live_navigator import Rover
+from app.viewer.live_navigator import LiveNavigator
 from app.viewer.nearest_pose import Stand, place_to_stand
 from app.viewer.obstacles import Obstacle, with_obstacles
-from app.viewer.planner_process import PatientPlanner, PlanningProcess, World
-from app.viewer.replanning import Guide
-from app.viewer.snapshot import Notice, Record, Snapshot
+from app.viewer.planner_process import BlockingPlanner, PlannerProcess, World
+from app.viewer.replanning import Replanner
+from app.viewer.snapshot import Notice, Snapshot, WalkHistory
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
@@ -27,51 +27,49 @@ from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, Pose, finite_pose
 from sim.robot import Robot
 
-# Wishes from many threads, fulfilled by one.
 
-
-class Wishes:
-    """Things to do, in the order in which they were wished for."""
+class CommandQueue:
+    """Thread-safe queue of commands, run in order by one thread."""
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
-    def add(self, wish: Callable[[], None]) -> None:
+    def add(self, command: Callable[[], None]) -> None:
         """Returns at once; from any thread."""
-        self._queue.put(wish)
+        self._queue.put(command)
 
-    def grant(self, wait_s: float, fulfil: Callable[[Callable[[], None]], None]) -> None:
+    def run_pending(self, wait_s: float, run: Callable[[Callable[[], None]], None]) -> None:
         """Has all that are there fulfilled; waits for one for so long."""
         try:
-            wish = self._queue.get(timeout=wait_s) if wait_s > 0 else self._queue.get_nowait()
+            command = self._queue.get(timeout=wait_s) if wait_s > 0 else self._queue.get_nowait()
             while True:
-                fulfil(wish)
-                wish = self._queue.get_nowait()
+                run(command)
+                command = self._queue.get_nowait()
         except queue.Empty:
             return
 
 
-# How fast simulated time passes against the clock on the wall.
-
-# What was missed for longer than this is not caught up.
+# Simulated time that is behind real time by more than this is not caught up.
 _FORGIVEN_S = 0.5
 _MEASURED_OVER_S = 1.0
 
 
-class Pace:
-    """Says when the next tick is due. `factor` is simulated over real time; 0 pauses.
+class SimulationClock:
+    """Real-time pacing: when the next tick is due. `factor` is simulated over real time; 0 pauses.
 
     `factor` may be set from any thread. While `is_idle`, there is nothing to
     hurry for: time passes no faster than on the wall.
     """
 
-    def __init__(self, factor: float = 1.0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, factor: float = 1.0, monotonic: Callable[[], float] = time.monotonic
+    ) -> None:
         self.factor = factor
         self.is_idle = False
         self.reached = 0.0
-        self._clock = clock
-        self._due_s = clock()
-        self._since_s = clock()
+        self._monotonic = monotonic
+        self._due_s = monotonic()
+        self._since_s = monotonic()
         self._passed_s = 0.0
 
     @property
@@ -83,7 +81,7 @@ class Pace:
         factor = self._factor
         if factor <= 0:
             return math.inf
-        return 0.0 if math.isinf(factor) else max(0.0, self._due_s - self._clock())
+        return 0.0 if math.isinf(factor) else max(0.0, self._due_s - self._monotonic())
 
     def is_due(self) -> bool:
         """Whether to tick now."""
@@ -93,7 +91,7 @@ class Pace:
     def ticked(self, period_s: float) -> None:
         """Notes that so much simulated time has passed."""
         self._passed_s += period_s
-        now_s = self._clock()
+        now_s = self._monotonic()
         factor = self._factor
         if math.isinf(factor) or factor <= 0:
             self._due_s = now_s
@@ -102,21 +100,18 @@ class Pace:
 
     def skip(self) -> None:
         """Notes that there was nothing to tick for: what was missed is not caught up."""
-        self._due_s = self._clock()
+        self._due_s = self._monotonic()
         self._measure()
 
     def _measure(self) -> None:
-        now_s = self._clock()
+        now_s = self._monotonic()
         if now_s - self._since_s >= _MEASURED_OVER_S:
             self.reached = self._passed_s / (now_s - self._since_s)
             self._since_s, self._passed_s = now_s, 0.0
 
 
-# What a walk takes place in: map and boxes, robot and policy, where it begins, how it plans.
-
-
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class WalkSetup:
     """All that a walk depends on besides its goal; `dataclasses.replace` makes another one.
 
     bare_grid: the map without the boxes. start: where the robot is put.
@@ -145,9 +140,11 @@ class Setting:
         unknown_is_free = self.options.unknown_is_free
         return place_to_stand(self.grid, self.robot.step_model, unknown_is_free, pose)
 
-    def rover(self, *, goal: Pose | None = None, planner: PlansSteps | None) -> Rover:
+    def navigator(
+        self, *, goal: Pose | None = None, planner: FootstepPlanner | None
+    ) -> LiveNavigator:
         """A robot that stands at the start, with a goal or without; None plans in this process."""
-        return Rover(
+        return LiveNavigator(
             self.grid,
             self.robot,
             self.policy,
@@ -159,47 +156,46 @@ class Setting:
         )
 
 
-# What there is to be seen of a session at this moment.
-
-
-def look(guide: Guide, record: Record, *, start: Pose, speed: float) -> Snapshot:
+def snapshot_of(
+    replanner: Replanner, history: WalkHistory, *, start: Pose, speed: float
+) -> Snapshot:
     """The robot, its plan and its walk so far; called in the thread of the physics."""
-    rover = guide.rover
-    plan, done = _plan_to_show(guide)
+    navigator = replanner.navigator
+    plan, done = _plan_to_show(replanner)
     return Snapshot(
-        qpos=rover.qpos[-1],
-        time_s=rover.time_s,
-        walk=record.walk,
+        qpos=navigator.qpos[-1],
+        time_s=navigator.time_s,
+        walk=history.walk,
         start=start,
-        goal=finite_pose(rover.goal) if rover.plans and not rover.halted else None,
-        wished=guide.wished,
+        goal=finite_pose(navigator.goal) if navigator.plans and not navigator.halted else None,
+        requested=replanner.requested,
         plan=plan,
         done=done,
-        placed_side=record.placed_side,
-        placed_world=record.placed_world,
-        foot_error_m=record.foot_error_m,
-        path_world=record.path_world,
-        status=rover.status(is_asking=guide.question is not None),
-        replans=rover.replans,
-        answer_s=guide.answer_s,
-        clearance_m=record.clearance_m,
-        goal_error=rover.goal_error if rover.plans else None,
+        placed_side=history.placed_side,
+        placed_world=history.placed_world,
+        foot_error_m=history.foot_error_m,
+        path_world=history.path_world,
+        status=navigator.status(is_asking=replanner.question is not None),
+        replans=navigator.replans,
+        answer_s=replanner.answer_s,
+        clearance_m=history.clearance_m,
+        goal_error=navigator.goal_error if navigator.plans else None,
         speed=speed,
-        notice=guide.notice,
+        notice=replanner.notice,
     )
 
 
-def _plan_to_show(guide: Guide) -> tuple[FootstepPlan | None, int]:
+def _plan_to_show(replanner: Replanner) -> tuple[FootstepPlan | None, int]:
     """The plan to be seen, and how many of its steps have been taken."""
-    rover = guide.rover
-    if rover.waiting is not None:
-        return rover.waiting, 0
-    if guide.question is not None and guide.preview is not None and not rover.going:
-        return guide.preview, 0
-    if not rover.followed:
+    navigator = replanner.navigator
+    if navigator.waiting is not None:
+        return navigator.waiting, 0
+    if replanner.question is not None and replanner.preview is not None and not navigator.going:
+        return replanner.preview, 0
+    if not navigator.followed:
         return None, 0
-    begun_s, plan = rover.followed[-1]
-    return plan, sum(placed.time_s > begun_s for placed in rover.placed)
+    begun_s, plan = navigator.followed[-1]
+    return plan, sum(placed.time_s > begun_s for placed in navigator.placed)
 
 
 # A box this near to the middle of the robot would be set down on it.
@@ -209,10 +205,10 @@ _SNAPSHOT_EVERY_S = 1 / 60
 
 
 class Session:
-    """Runs the physics of a robot, and does what people wish.
+    """Runs the physics of a robot, and carries out commands from the page.
 
-    The methods may be called from any thread: they queue a wish and return. `snapshot` is what is
-    to be seen now; `record` keeps what the plots show; `ended` is the first walk, once it is over.
+    The methods may be called from any thread: they queue a command and return. `snapshot` is what is seen
+    now; `history` keeps what the plots show; `ended` is the first walk, once it is over.
     """
 
     def __init__(
@@ -227,7 +223,7 @@ class Session:
         seed: int = 0,
     ) -> None:
         """A robot that stands at the start, or with a `goal` one that walks as in `navigate`."""
-        self._setting = Setting(
+        self._setup = WalkSetup(
             bare_grid=grid,
             robot=robot,
             policy=policy,
@@ -235,16 +231,16 @@ class Session:
             options=options or PlannerOptions(),
             seed=seed,
         )
-        self._wishes = Wishes()
+        self._commands = CommandQueue()
         self._ending = threading.Event()
-        self._planner = PlanningProcess(self._setting.world)
+        self._planner = PlannerProcess(self._setup.world)
         self._shown_s, self._shown_answer = -math.inf, -1
-        self.pace = Pace()
-        self.record = Record()
+        self.clock = SimulationClock()
+        self.history = WalkHistory()
         self.ended: Navigator | None = None
-        rover = self._standing() if goal is None else self._walking(finite_pose(goal))
-        self._guide = Guide(self._planner, self.record, rover)
-        self.snapshot = self._look()
+        navigator = self._standing() if goal is None else self._walking(finite_pose(goal))
+        self._replanner = Replanner(self._planner, self.history, navigator)
+        self.snapshot = self._take_snapshot()
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
 
     def is_ready(self, wait_s: float) -> bool:
@@ -265,17 +261,17 @@ class Session:
     @property
     def grid(self) -> OccupancyGrid:
         """The map without the boxes."""
-        return self._setting.bare_grid
+        return self._setup.bare_grid
 
     @property
     def robot(self) -> Robot:
         """The one that walks."""
-        return self._setting.robot
+        return self._setup.robot
 
     @property
     def options(self) -> PlannerOptions:
         """How it plans."""
-        return self._setting.options
+        return self._setup.options
 
     @property
     def planner_pid(self) -> int | None:
@@ -284,32 +280,32 @@ class Session:
 
     def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
         """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
-        self._wishes.add(
-            lambda: self._guide.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
+        self._commands.add(
+            lambda: self._replanner.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
         )
 
     def stop(self) -> None:
         """Stand still as soon as possible."""
-        self._wishes.add(self._guide.stop)
+        self._commands.add(self._replanner.stop)
 
     def reset(self, start: Sequence[float] | None = None) -> None:
         """Stand at the pose `start`, or where it stood at first, whatever has happened.
 
         Where it cannot stand it is not put, and the nearest pose that is free is offered.
         """
-        self._wishes.add(lambda: self._reset(None if start is None else finite_pose(start)))
+        self._commands.add(lambda: self._reset(None if start is None else finite_pose(start)))
 
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
         """These boxes stand on the map from now on, for planner and physics."""
-        self._wishes.add(lambda: self._set_obstacles(tuple(obstacles)))
+        self._commands.add(lambda: self._set_obstacles(tuple(obstacles)))
 
     def set_robot(self, robot: Robot, policy: Policy) -> None:
         """Another robot takes the place of this one at the start."""
-        self._wishes.add(lambda: self._set_robot(robot, policy))
+        self._commands.add(lambda: self._set_robot(robot, policy))
 
     def set_options(self, options: PlannerOptions) -> None:
         """Plan like this from now on."""
-        self._wishes.add(lambda: self._set_options(options))
+        self._commands.add(lambda: self._set_options(options))
 
     def is_on_robot(self, obstacle: Obstacle) -> bool:
         """Whether there is no room for the box because the robot stands there."""
@@ -319,103 +315,105 @@ class Session:
     # From here on everything runs in the session's own thread.
 
     def _run(self) -> None:
-        guide = self._guide
+        replanner = self._replanner
         while not self._ending.is_set():
             # A robot in a hurry would be past the place that the planner is thinking of.
-            self.pace.is_idle = not guide.rover.going or guide.question is not None
-            self._wishes.grant(self._wait_s(), self._try)
-            self._try(guide.listen)
-            if guide.rover.rests:
-                self.pace.skip()
-            elif self.pace.is_due():
+            self.clock.is_idle = not replanner.navigator.going or replanner.question is not None
+            self._commands.run_pending(self._wait_s(), self._try)
+            self._try(replanner.listen)
+            if replanner.navigator.rests:
+                self.clock.skip()
+            elif self.clock.is_due():
                 self._try(self._tick)
             self._show()
 
     def _wait_s(self) -> float:
-        """How long nothing needs to be done, unless a wish comes."""
-        rests, asks = self._guide.rover.rests, self._guide.question is not None
+        """How long nothing needs to be done, unless a command comes."""
+        rests, asks = self._replanner.navigator.rests, self._replanner.question is not None
         if rests and not asks:
             return _IDLE_WAIT_S
         # A plan that is on its way is looked for often.
         longest_s = 0.005 if asks else _IDLE_WAIT_S
-        return min(math.inf if rests else self.pace.wait_s(), longest_s)
+        return min(math.inf if rests else self.clock.wait_s(), longest_s)
 
     def _try(self, action: Callable[[], None]) -> None:
         """What cannot be done is told of, and harms nothing; a fault stops the robot until told."""
         try:
             action()
         except (InputError, ValueError) as error:
-            self._guide.notice = Notice(text=str(error))
+            self._replanner.notice = Notice(text=str(error))
         except Exception as error:
             traceback.print_exc()
-            self._guide.rover.idle_s = math.inf
-            self._guide.notice = Notice(text=f"a fault of the program: {error}; reset the robot")
+            self._replanner.navigator.idle_s = math.inf
+            self._replanner.notice = Notice(
+                text=f"a fault of the program: {error}; reset the robot"
+            )
 
     def _tick(self) -> None:
-        rover = self._guide.rover
-        placed = len(rover.placed)
-        rover.tick()
-        self.pace.ticked(CONTROL_PERIOD_S)
-        self.record.ticked(rover)
-        if len(rover.placed) > placed or rover.has_ended:
-            self.record.landed(rover)
-        if rover.outcome is not None and self.ended is None:
-            self.ended = copy.copy(rover)
-        self._guide.ticked()
+        navigator = self._replanner.navigator
+        placed = len(navigator.placed)
+        navigator.tick()
+        self.clock.ticked(CONTROL_PERIOD_S)
+        self.history.ticked(navigator)
+        if len(navigator.placed) > placed or navigator.has_ended:
+            self.history.landed(navigator)
+        if navigator.outcome is not None and self.ended is None:
+            self.ended = copy.copy(navigator)
+        self._replanner.ticked()
 
     def _show(self) -> None:
         """Now and then, and as soon as there is an answer."""
-        answer = self._guide.answer_of
+        answer = self._replanner.answer_of
         if answer != self._shown_answer or time.monotonic() - self._shown_s >= _SNAPSHOT_EVERY_S:
             self._shown_s, self._shown_answer = time.monotonic(), answer
-            self.snapshot = self._look()
+            self.snapshot = self._take_snapshot()
 
-    def _look(self) -> Snapshot:
-        start, speed = self._setting.start, self.pace.reached
-        return look(self._guide, self.record, start=start, speed=speed)
+    def _take_snapshot(self) -> Snapshot:
+        start, speed = self._setup.start, self.clock.reached
+        return snapshot_of(self._replanner, self.history, start=start, speed=speed)
 
     def _reset(self, start: Pose | None) -> None:
-        wanted = start or self._setting.start
-        stand = self._setting.stand(wanted)
+        wanted = start or self._setup.start
+        stand = self._setup.stand(wanted)
         if stand.blocked:
             text = f"the robot cannot stand there: {stand.blocked}"
-            self._guide.notice = Notice(
-                text=text, refused=wanted, offer=stand.offer, puts_robot=True
+            self._replanner.notice = Notice(
+                text=text, refused=wanted, alternative=stand.alternative, puts_robot=True
             )
             return
-        self._setting = replace(self._setting, start=wanted)
-        self._guide.take(self._standing())
+        self._setup = replace(self._setup, start=wanted)
+        self._replanner.take(self._standing())
 
     def _set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
-        self._setting = replace(self._setting, obstacles=obstacles)
-        rover = self._guide.rover
-        rover.use_planner(self._planner)
-        rover.set_grid(self._setting.grid)
-        self._planner.set_world(self._setting.world)
-        self._guide.plan_anew()
+        self._setup = replace(self._setup, obstacles=obstacles)
+        navigator = self._replanner.navigator
+        navigator.use_planner(self._planner)
+        navigator.set_grid(self._setup.grid)
+        self._planner.set_world(self._setup.world)
+        self._replanner.plan_anew()
 
     def _set_options(self, options: PlannerOptions) -> None:
-        self._setting = replace(self._setting, options=options)
-        self._planner.set_world(self._setting.world)
-        self._guide.plan_anew()
+        self._setup = replace(self._setup, options=options)
+        self._planner.set_world(self._setup.world)
+        self._replanner.plan_anew()
 
     def _set_robot(self, robot: Robot, policy: Policy) -> None:
-        self._setting = replace(self._setting, robot=robot, policy=policy)
-        self._planner.set_world(self._setting.world)
-        self._guide.take(self._standing())
+        self._setup = replace(self._setup, robot=robot, policy=policy)
+        self._planner.set_world(self._setup.world)
+        self._replanner.take(self._standing())
 
-    def _standing(self) -> Rover:
+    def _standing(self) -> LiveNavigator:
         """A robot that stands at the start."""
-        rover = self._setting.rover(planner=self._planner)
+        navigator = self._setup.navigator(planner=self._planner)
         # Sensors tell of the step before: there must be one.
-        rover.tick()
-        return rover
+        navigator.tick()
+        return navigator
 
-    def _walking(self, goal: Pose) -> Rover:
+    def _walking(self, goal: Pose) -> LiveNavigator:
         """A robot with a goal that plans for itself, in this process if that is quick."""
-        is_slow = self._setting.options.name in SAMPLING_PLANNERS
-        planner: PlansSteps | None = PatientPlanner(self._planner) if is_slow else None
-        rover = self._setting.rover(goal=goal, planner=planner)
-        rover.going = rover.plan().found
-        self.ended = None if rover.going else copy.copy(rover)
-        return rover
+        is_slow = self._setup.options.name in SAMPLING_PLANNERS
+        planner: FootstepPlanner | None = BlockingPlanner(self._planner) if is_slow else None
+        navigator = self._setup.navigator(goal=goal, planner=planner)
+        navigator.going = navigator.plan().found
+        self.ended = None if navigator.going else copy.copy(navigator)
+        return navigator

@@ -23,7 +23,7 @@ class Notice:
 
     text: str
     refused: Pose | None = None
-    offer: Pose | None = None
+    alternative: Pose | None = None
     puts_robot: bool = False
 
 
@@ -31,8 +31,8 @@ class Notice:
 class Snapshot:
     """The robot, its plan and its walk so far; times in s, of the simulation unless said.
 
-    `start` is where a reset puts the robot, `goal` where it walks or has walked to, `wished` a goal
-    that somebody has set and that is being planned for. `done` steps of `plan` have been taken.
+    `start` is where a reset puts the robot, `goal` where it walks or has walked to, `requested` a
+    goal that is being planned for. `done` steps of `plan` have been taken.
     placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
     path_world (T, 2) of the body. `speed` is simulated over real time as it is reached; `answer_s`
     the real time from question to plan. `walk` counts walks: another number means that a new one
@@ -44,7 +44,7 @@ class Snapshot:
     walk: int = 0
     start: Pose = (0.0, 0.0, 0.0)
     goal: Pose | None = None
-    wished: Pose | None = None
+    requested: Pose | None = None
     plan: FootstepPlan | None = None
     done: int = 0
     placed_side: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
@@ -66,7 +66,7 @@ FORCE_WINDOW_S = 6.0
 _PATH_EVERY_TICKS = 10
 
 
-class Record:
+class WalkHistory:
     """Filled by the physics; the arrays are replaced, never changed, so any thread may read them.
 
     placed_side (N,), placed_world (N, 4), foot_error_m (N,): the steps of this walk.
