@@ -89,6 +89,7 @@ def assess_mode(
     rise_m: float = 0.10,
     tread_error_m: float = 0.0,
     joint_noise_deg: float = 0.0,
+    step_s: float | None = None,
 ) -> ModeResult:
     """Walk `episodes` episodes at once with the deterministic policy.
 
@@ -105,6 +106,7 @@ def assess_mode(
         config: rates, rewards and lengths; what it says of stairs and disturbances is left out.
         rise_m: of every step of the stairs.
         tread_error_m: each tread is uniformly up to this much higher or lower than observed.
+        step_s: how long every step takes; None: as long as the robot's own gait does.
         joint_noise_deg: amplitude of the uniform noise on observed joint positions; that on
             joint speeds is as in training (`Robustness.joint_speed_noise_per_s`).
     """
@@ -112,6 +114,8 @@ def assess_mode(
         config or TaskConfig(),
         stairs_share=0.0,
         exact_rise=True,
+        paced_share=0.0 if step_s is None else 1.0,
+        step_s=(config or TaskConfig()).step_s if step_s is None else (step_s, step_s),
         robustness=Robustness.exactly(joint_noise_deg=joint_noise_deg, tread_error_m=tread_error_m),
     )
     disturbed = joint_noise_deg > 0 or tread_error_m > 0

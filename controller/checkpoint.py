@@ -38,7 +38,7 @@ class Checkpoint:
 
     segment: int
     stage: Stage
-    best_score: tuple[float, float]
+    best_score: tuple[float, ...]
     history: list[dict[str, Any]]
     learner: dict[str, Any]
 
@@ -104,11 +104,10 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     try:
         _check_config(folder, config, json.loads(document["config"]))
         _check_layout(path, robot, json.loads(document.get("layout", "null")))
-        rise_m, score = document["best_score"]
         return Checkpoint(
             segment=document["segment"],
             stage=Stage(**document["stage"]),
-            best_score=(rise_m, score),
+            best_score=tuple(document["best_score"]),
             history=json.loads(document["history"]),
             learner=document["learner"],
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,9 +22,10 @@ from controller.rewards import (
     walk_state,
 )
 from controller.stairs import STAIR_MODES, draw_stairs
-from controller.step_cursor import Track
+from controller.step_cursor import STANCE, Track
 from controller.step_sequences import MAX_STEPS, PlannedSteps, draw_track
 from controller.walker import Walker
+from planner.robot_model import Interval
 from sim.robot import Robot
 from sim.scene import build_scene
 
@@ -39,7 +40,9 @@ class TaskConfig:
 
     `stairs_share` of the episodes are on stairs once the curriculum has come to them. Where
     `exact_rise` is set, all their rises are the stage's own, else they are drawn up to it.
-    `planned_share` of the flat episodes walk steps of the planner's corpus, if there is one.
+    `planned_share` of the flat episodes walk steps of the planner's corpus, if there is one. In
+    `paced_share` of the episodes steps take times drawn from `step_s`, on stairs none shorter than
+    the robot's own gait; in the others they take that.
 
     Raises:
         ValueError: a share, length or noise that no episode can have.
@@ -52,12 +55,14 @@ class TaskConfig:
     wait_ticks: int = 20
     stairs_share: float = 0.38
     planned_share: float = 0.35
+    paced_share: float = 0.55
+    step_s: Interval = (0.7, 1.4)
     exact_rise: bool = False
     robustness: Robustness = field(default_factory=Robustness)
     reward: Mapping[str, float] = field(default_factory=lambda: dict(PRECISE))
 
     def __post_init__(self) -> None:
-        for name in ("stairs_share", "planned_share"):
+        for name in ("stairs_share", "planned_share", "paced_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(f"{name} {getattr(self, name)} must be from 0 to 1")
         for name in ("joint_noise_rad", "joint_speed_noise_rad_s", "wait_ticks"):
@@ -116,6 +121,8 @@ class Episodes:
             track = self._on_stairs(rng, row, stage, str(mode), steps)
         else:
             track = self._on_the_level(rng, mode, steps)
+        if rng.uniform() < config.paced_share:
+            track = replace(track, step_s=self._draw_step_s(rng, track, mode in STAIR_MODES))
         walker.follow(row, track, wait_ticks=int(rng.integers(config.wait_ticks + 1)))
         self.on_stairs[row] = mode in STAIR_MODES
 
@@ -139,6 +146,16 @@ class Episodes:
             return self.planned.draw(rng, self._start_feet, steps=steps)
         model = self._walker.robot.training_model
         return draw_track(rng, model, self._start_feet, mode=mode, steps=steps)
+
+    def _draw_step_s(self, rng: np.random.Generator, track: Track, on_stairs: bool) -> np.ndarray:
+        """Durations (N,) of the steps: one for all, or in half of the episodes one that changes."""
+        low, high = self.config.step_s
+        if on_stairs:
+            low = min(max(low, self._walker.robot.gait.step_s), high)
+        steps = len(track.side) - STANCE
+        drawn = rng.uniform(low, high, steps)
+        changes = rng.uniform(size=steps) < (0.3 if rng.uniform() < 0.5 else 0.0)
+        return np.asarray(drawn[np.maximum.accumulate(np.where(changes, np.arange(steps), 0))])
 
     def _draw_rise_m(self, rng: np.random.Generator, stage: Stage) -> float:
         """Half of the rises are near the stage's, the others anywhere below."""
@@ -176,7 +193,7 @@ class WalkTask:
     legs touch, or the simulation left the finite numbers; it is truncated at its full length.
     `stage` says how hard new episodes are; `mode` is one of `MODES`, `STAIR_MODES` or `standing`,
     and None draws from all flat modes, the planner's own steps if there are any `planned`, and, at
-    the stage's rise, stairs.
+    the stage's rise, stairs. `weights` of the reward may be changed between two steps.
     """
 
     def __init__(
@@ -205,6 +222,7 @@ class WalkTask:
         self.ticks = np.zeros(count, dtype=np.int64)
         self._rng = np.random.default_rng(seed)
         self._torque = np.zeros((count, len(robot.joints)))
+        self.weights = dict(self.config.reward)
         self._disturbances = Disturbances(self.config.robustness, count, len(robot.joints))
         self._varied = False
         self._episodes = Episodes(
@@ -253,7 +271,7 @@ class WalkTask:
         failed = self.walker.sim.failed.copy()
         state = walk_state(self.walker, asked, self._torque)
         self._torque = joint_torques_nm(self.walker)
-        value, terms = reward(state, self.config.reward)
+        value, terms = reward(state, self.weights)
         self.ticks += 1
         terminated = failed | fallen(self.walker)
         truncated = ~terminated & (self.ticks >= self.config.episode_ticks)

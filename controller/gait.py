@@ -7,13 +7,19 @@ and ends with both feet down (double support); a cycle is a period of each foot.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from planner.plan import FootstepPlan, wrap_angle
 from planner.robot_model import Side
 from sim.robot import GaitTiming
 
 CONTROL_PERIOD_S = 0.025
+
+PACES = ("slow", "normal", "fast")
+# What a step may turn, go aside and climb to be taken fast.
+FAST_TURN_RAD, FAST_ASIDE_M, FAST_CLIMB_M = 0.15, 0.06, 0.01
 
 # Half the time over which a foot's role changes between swing and support.
 RAMP_HALF_S = 0.05
@@ -21,10 +27,10 @@ RAMP_HALF_S = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class GaitTicks:
-    """A gait's durations in control ticks."""
+    """A gait's durations in control ticks, or those (B,) of each of B robots' present steps."""
 
-    swing: int
-    double_support: int
+    swing: Any
+    double_support: Any
 
     @classmethod
     def of(cls, gait: GaitTiming) -> GaitTicks:
@@ -35,9 +41,41 @@ class GaitTicks:
         )
 
     @property
-    def step(self) -> int:
+    def step(self) -> Any:
         """Ticks of a step period."""
         return self.swing + self.double_support
+
+    def lasting(self, step_s: np.ndarray) -> GaitTicks:
+        """Steps (N,) of these durations in seconds, with the same share of swing as this gait."""
+        step = np.rint(step_s / CONTROL_PERIOD_S).astype(np.int64)
+        swing = np.rint(step * (self.swing / self.step)).astype(np.int64)
+        return GaitTicks(swing=swing, double_support=step - swing)
+
+
+def steps_s(
+    plan: FootstepPlan, gait: GaitTiming, pace: str, fastest_s: float, slowest_s: float
+) -> np.ndarray | None:
+    """How long each step of a plan is to take (N,), by a pace of `PACES`; None at `normal`.
+
+    At `fast` a step takes `fastest_s` where it goes on straight and level, and as long as the
+    robot's gait does where it turns, goes sideways or climbs.
+    """
+    if pace == "normal" or not len(plan):
+        return None
+    if pace == "slow":
+        return np.full(len(plan), slowest_s)
+    feet = plan.start_feet_world.copy()
+    durations = np.full(len(plan), gait.step_s)
+    for k, (side, pose) in enumerate(zip(plan.side, plan.pose_world, strict=True)):
+        support, lift_off = feet[1 - side], feet[side]
+        turn_rad = np.abs(wrap_angle([pose[3] - support[3], pose[3] - lift_off[3]])).max()
+        away = pose[:2] - lift_off[:2]
+        aside_m = abs(np.cos(pose[3]) * away[1] - np.sin(pose[3]) * away[0])
+        climb_m = np.abs(pose[2] - feet[:, 2]).max()
+        if turn_rad <= FAST_TURN_RAD and aside_m <= FAST_ASIDE_M and climb_m <= FAST_CLIMB_M:
+            durations[k] = min(fastest_s, gait.step_s)
+        feet[side] = pose
+    return durations
 
 
 def clock(ticks: GaitTicks, side: np.ndarray, tick: np.ndarray, standing: np.ndarray) -> np.ndarray:

@@ -52,7 +52,10 @@ def _field(
 
 
 def policy_fields(robot: Robot) -> tuple[ObsField, ...]:
-    """The policy's observation, in order: orientation, joints, gait clock, two steps."""
+    """The policy's observation, in order.
+
+    Orientation, joints, gait clock, two steps, and how long these take, which older policies lack.
+    """
     index, sign = robot.mirror_joints
     joint_sign = tuple(sign)
     return (
@@ -63,6 +66,7 @@ def policy_fields(robot: Robot) -> tuple[ObsField, ...]:
         _field("clock", (-1, -1), 1.0),
         _field("step_1", (1, -1, 1, -1), 0.3),
         _field("step_2", (1, -1, 1, -1), 0.3),
+        _field("step_s", (1, 1), 0.3, offset=np.full(2, robot.gait.step_s)),
     )
 
 
@@ -147,8 +151,9 @@ def observe(
     joint_qvel: np.ndarray,
     clock: np.ndarray,
     window: np.ndarray,
+    step_s: np.ndarray,
 ) -> np.ndarray:
-    """The policy's observation (B, 39 for 12 joints) before scaling.
+    """The policy's observation (B, 41 for 12 joints) before scaling.
 
     Args:
         robot: whose posture and pelvis height are meant.
@@ -158,6 +163,7 @@ def observe(
         joint_qvel: where the joints lie in qvel (J,).
         clock: sine and cosine of the gait phase (B, 2), 0 while standing.
         window: the present and the next step in the world (B, 2, 4).
+        step_s: how long these take (B, 2).
     """
     steps = steps_in_heading_frame(robot, qpos, window)
     return np.concatenate(
@@ -168,6 +174,7 @@ def observe(
             qvel[:, joint_qvel],
             clock,
             steps.reshape(len(qpos), -1),
+            step_s,
         ],
         axis=1,
     )

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from controller.observation import layout, normaliser, policy_fields
 from sim.robot import Robot
@@ -36,13 +37,46 @@ class Policy:
     scale: np.ndarray
     about: dict[str, Any]
 
+    @property
+    def is_paced(self) -> bool:
+        """Whether it sees how long steps are to take; if not, it walks at the robot's own gait."""
+        return [str(name) for name, _ in self.about["observation"]][-1] == "step_s"
+
+    def step_range_s(self, robot: Robot) -> tuple[float, float]:
+        """Shortest and longest duration of a step that it was trained to take."""
+        if not self.is_paced:
+            return robot.gait.step_s, robot.gait.step_s
+        shortest_s, longest_s = self.about["trained"]["config"]["task"]["step_s"]
+        return float(shortest_s), float(longest_s)
+
+    def require_pace(self, robot: Robot, step_s: ArrayLike) -> None:
+        """Checks that it can take steps of these durations.
+
+        Raises:
+            PolicyError: it was not trained to; the message says what it can do.
+        """
+        low_s, high_s = self.step_range_s(robot)
+        least_s, most_s = float(np.min(step_s)), float(np.max(step_s))
+        if least_s < low_s - 1e-6 or most_s > high_s + 1e-6:
+            what = (
+                f"was trained on steps of {low_s:g} to {high_s:g} s"
+                if self.is_paced
+                else f"knows the gait of {robot.name} alone, {low_s:g} s a step"
+            )
+            raise PolicyError(
+                f"steps of {least_s:g} to {most_s:g} s: this policy {what}; "
+                "walk at --pace normal, or train one that sees the durations of steps"
+            )
+
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Actions (B, J) in rad for observations (B, N) as they come from `observe`."""
-        return self.act_scaled((observation - self.offset) / self.scale)
+        seen = observation[..., : len(self.offset)]
+        return self.act_scaled((seen - self.offset) / self.scale)
 
     def act_scaled(self, observation: np.ndarray) -> np.ndarray:
         """Actions (B, J) for observations (B, N) that are scaled already."""
-        values = observation.astype(np.float32)
+        # What newer observations have at their end, an older policy does not look at.
+        values = observation[..., : self.layers[0][0].shape[1]].astype(np.float32)
         for weight, bias in self.layers[:-1]:
             values = np.maximum(values @ weight.T + bias, 0.0)
         weight, bias = self.layers[-1]
@@ -116,6 +150,8 @@ def load_policy(robot: Robot, path: Path | None = None) -> Policy:
 
 def _check(robot: Robot, path: Path, about: dict[str, Any], layers: Any, digest: str) -> None:
     fields = policy_fields(robot)
+    if about.get("observation") == layout(fields[:-1]):
+        fields = fields[:-1]  # older: without the durations of the steps
     expected = {
         "format": FORMAT,
         "robot": robot.name,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -16,6 +17,7 @@ from tensordict import TensorDict
 from controller.curriculum import Curriculum
 from controller.env import TaskConfig, WalkTask
 from controller.observation import SCALED_LIMIT, critic_fields, mirror_map, policy_fields
+from controller.rewards import RewardSchedule
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,13 +175,16 @@ def actor_layers(ppo: PPO) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 class TrainConfig:
     """A whole run. `samples` are control steps of single robots.
 
-    `corpus` is the digest of the planner's corpus that is trained on, empty for none.
+    `corpus` is the digest of the planner's corpus that is trained on, empty for none. With
+    `warm_up` a run begins with these weights of the reward and goes over to the task's own: see
+    `RewardSchedule`.
     """
 
     robot: str = "jvrc1"
     samples: int = 16_000_000
     seed: int = 0
     corpus: str = ""
+    warm_up: Mapping[str, float] | None = None
     updates_per_segment: int = 20
     assess_episodes: int = 128
     curriculum: Curriculum = field(default_factory=Curriculum)
@@ -190,6 +195,12 @@ class TrainConfig:
     def samples_per_segment(self) -> int:
         """Control steps between two checkpoints."""
         return self.updates_per_segment * self.ppo.samples_per_update
+
+    @property
+    def rewards(self) -> RewardSchedule:
+        """Weights of the reward over the run."""
+        first = self.task.reward if self.warm_up is None else self.warm_up
+        return RewardSchedule(first=first, last=self.task.reward)
 
     @property
     def segments(self) -> int:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from controller.gait import CONTROL_PERIOD_S
 from controller.observation import pelvis_yaw_rad, to_heading_frame, wrap_angle_rad
 from controller.walker import Walker
 
@@ -18,6 +19,9 @@ TARGET_RADIUS_M = 0.20
 FOOT_SPEED_SCALE_M_S = 0.4
 SWING_HEIGHT_M = 0.06
 HIGH_SWING_M = 0.10
+SWING_APEX_M = 0.075
+# How fast a sole may be: so fast at the ground, so much faster per metre above it, up to a height.
+TOUCHDOWN_M_S, FASTER_PER_S, NEAR_GROUND_M = 0.08, 12.0, 0.06
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,15 @@ class WalkState:
     head_offset_m: np.ndarray  # (B,) horizontal, of the head from the pelvis
     action_change_rad: np.ndarray  # (B,) mean absolute
     torque_change_nm: np.ndarray  # (B,) mean absolute
+    swing_height_error_m: np.ndarray  # (B,) of the swing foot from its height profile; else 0
+    climb_m: np.ndarray  # (B,) height between the places that the feet are at and go to
+    step_s: np.ndarray  # (B,) duration of the present step
+    pelvis_speed_z_m_s: np.ndarray  # (B,) upward
+    power_w: np.ndarray  # (B,) sum over the joints of |torque * speed|
+    posture_error_rad: np.ndarray  # (B,) mean absolute, of the joints from half-sitting
+    standing: np.ndarray  # (B,) asked to stand
+    peak_force_weights: np.ndarray  # (B,) of one foot, over the physics steps
+    hasty_m_s: np.ndarray  # (B, 2) by how much soles are faster than so near the ground
 
 
 def ground_force(s: WalkState) -> np.ndarray:
@@ -121,6 +134,50 @@ def torque_smoothness(s: WalkState) -> np.ndarray:
     return np.exp(-0.25 * s.torque_change_nm)
 
 
+def stance_at_rest(s: WalkState) -> np.ndarray:
+    """Support feet at rest."""
+    weight = (1 + s.support_indicator) / 2
+    rest = np.exp(-s.sole_speed_m_s / 0.1)
+    return np.sum(weight * rest, axis=1) / np.sum(weight, axis=1)
+
+
+def swing_profile(s: WalkState) -> np.ndarray:
+    """The swing foot on its height profile, with a wide kernel to draw it and a narrow one."""
+    error_m = np.abs(s.swing_height_error_m)
+    return 0.5 * np.exp(-error_m / 0.05) + 0.5 * np.exp(-error_m / 0.015)
+
+
+def pelvis_height(s: WalkState) -> np.ndarray:
+    """Pelvis at its standing height, but for what a climb between two places needs."""
+    return np.exp(-np.maximum(np.abs(s.height_error_m) - s.climb_m, 0.0) / 0.04)
+
+
+def pelvis_speed(s: WalkState) -> np.ndarray:
+    """Pelvis neither rising nor falling, but for what a climb needs."""
+    allowed_m_s = 1.5 * s.climb_m / s.step_s
+    return np.exp(-np.maximum(np.abs(s.pelvis_speed_z_m_s) - allowed_m_s, 0.0) / 0.1)
+
+
+def power(s: WalkState) -> np.ndarray:
+    """Little mechanical power of the joints."""
+    return np.exp(-s.power_w / 150)
+
+
+def standing_posture(s: WalkState) -> np.ndarray:
+    """Half-sitting where the robot is to stand."""
+    return np.where(s.standing, np.exp(-s.posture_error_rad / 0.05), 1.0)
+
+
+def peak_force(s: WalkState) -> np.ndarray:
+    """No foot that bears much more than the weight, at any physics step."""
+    return np.exp(-np.maximum(s.peak_force_weights - 1.0, 0.0) / 0.3)
+
+
+def soft_landing(s: WalkState) -> np.ndarray:
+    """A sole near the ground hardly moves: it comes down, and leaves, slowly and straight."""
+    return np.exp(-s.hasty_m_s.max(axis=1) / 0.15)
+
+
 TERMS = {
     term.__name__: term
     for term in (
@@ -138,6 +195,14 @@ TERMS = {
         upper_body,
         action_smoothness,
         torque_smoothness,
+        stance_at_rest,
+        swing_profile,
+        pelvis_height,
+        pelvis_speed,
+        power,
+        standing_posture,
+        peak_force,
+        soft_landing,
     )
 }
 
@@ -164,7 +229,50 @@ PRECISE: Mapping[str, float] = {
     "action_smoothness": 0.04,
     "torque_smoothness": 0.03,
 }
-PRESETS = {"paper": PAPER, "precise": PRECISE}
+# Upright, quiet and frugal. From nothing it teaches to stand still: see `RewardSchedule`.
+QUIET: Mapping[str, float] = {
+    "ground_force": 0.11,
+    "named_foot_step": 0.30,
+    "named_foot_heading": 0.06,
+    "stance_at_rest": 0.05,
+    "swing_profile": 0.09,
+    "soft_landing": 0.05,
+    "upright": 0.05,
+    "facing": 0.04,
+    "pelvis_height": 0.06,
+    "pelvis_speed": 0.04,
+    "power": 0.04,
+    "standing_posture": 0.03,
+    "peak_force": 0.03,
+    "action_smoothness": 0.03,
+    "torque_smoothness": 0.02,
+}
+PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RewardSchedule:
+    """Weights that change over a run: `first` until a share of it, then toward `last`.
+
+    Between the shares `blend` (from, to) of the run the weights are interpolated. What is calm
+    pays more under `QUIET` than a first step does, so walking is learned under `PRECISE`.
+    """
+
+    first: Mapping[str, float]
+    last: Mapping[str, float]
+    blend: tuple[float, float] = (0.17, 0.4)
+
+    def progress(self, share: float) -> float:
+        """How far the weights are on their way, in [0, 1], when `share` of the run is done."""
+        low, high = self.blend
+        return min(max((share - low) / (high - low), 0.0), 1.0)
+
+    def at(self, share: float) -> dict[str, float]:
+        """The weights when `share` in [0, 1] of the run is done."""
+        t = self.progress(share)
+        names = dict.fromkeys((*self.first, *self.last))
+        weights = {n: (1 - t) * self.first.get(n, 0.0) + t * self.last.get(n, 0.0) for n in names}
+        return {name: weight for name, weight in weights.items() if weight > 0}
 
 
 def reward(state: WalkState, weights: Mapping[str, float]) -> tuple[np.ndarray, dict[str, float]]:
@@ -196,6 +304,16 @@ def lift_reference_m(sole: np.ndarray, start: np.ndarray, target: np.ndarray) ->
     return np.asarray(start[:, 2] + share * change)
 
 
+def swing_profile_m(from_ends_s: np.ndarray) -> np.ndarray:
+    """Height of a swing foot over its ground, so long (n,) from the nearer end of its swing.
+
+    It leaves and comes down with `TOUCHDOWN_M_S`, is faster the higher it is, dv/dh =
+    `FASTER_PER_S`, and stays at `SWING_APEX_M` between.
+    """
+    rising_m = TOUCHDOWN_M_S / FASTER_PER_S * np.expm1(FASTER_PER_S * from_ends_s)
+    return np.asarray(np.minimum(rising_m, SWING_APEX_M))
+
+
 # How a control step is judged: what was asked, what the reward and the critic see, who fell.
 
 SWING_FOOT_SHARE = 0.7
@@ -207,6 +325,8 @@ class Asked:
 
     `targets` (B, 2, 4), `window` (B, 2, 4) and `lift_off` (B, 4) are poses in the world, `side`
     (B,), `swinging` (B,), `indicator` (B, 2); `previous_action` (B, J) is the one before.
+    `from_ends_s` (B,) is from the nearer end of the swing to the end of the
+    action; `step_s` (B,) the step takes; `standing` (B,).
     """
 
     targets: np.ndarray
@@ -216,11 +336,15 @@ class Asked:
     swinging: np.ndarray
     lift_off: np.ndarray
     previous_action: np.ndarray
+    from_ends_s: np.ndarray
+    step_s: np.ndarray
+    standing: np.ndarray
 
     @classmethod
     def of(cls, walker: Walker) -> Asked:
         """As it stands now, before the action."""
         cursor = walker.cursor
+        ended = cursor.tick + 1
         return cls(
             targets=cursor.foot_targets,
             side=cursor.side,
@@ -229,6 +353,10 @@ class Asked:
             swinging=cursor.swinging,
             lift_off=cursor.lift_off_poses,
             previous_action=walker.action,
+            from_ends_s=np.maximum(np.minimum(ended, cursor.ticks.swing - ended), 0)
+            * CONTROL_PERIOD_S,
+            step_s=cursor.step_s[:, 0],
+            standing=cursor.standing,
         )
 
 
@@ -252,12 +380,27 @@ def walk_state(walker: Walker, asked: Asked, previous_torque_nm: np.ndarray) -> 
     ground_z[rows, side[rows]] = lift_reference_m(
         soles[rows, side[rows]], asked.lift_off[rows], targets[rows, side[rows]]
     )
+    sole_height_m = soles[..., 2] - ground_z
+    swing_error_m = np.zeros(sim.count)
+    swing_error_m[rows] = sole_height_m[rows, side[rows]] - swing_profile_m(asked.from_ends_s[rows])
+    climb_m = np.abs(asked.targets[:, 0, 2] - asked.targets[:, 1, 2])
+    climb_m[rows] = np.maximum(
+        climb_m[rows], np.abs(targets[rows, side[rows], 2] - asked.lift_off[rows, 2])
+    )
+    sole_speed = np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2)
+    allowed_m_s = TOUCHDOWN_M_S + FASTER_PER_S * np.maximum(sole_height_m, 0.0)
+    hasty_m_s = np.where(
+        sole_height_m < NEAR_GROUND_M, np.maximum(sole_speed - allowed_m_s, 0.0), 0.0
+    )
+    joint_speed = sim.qvel[:, walker.scene.joint_qvel]
+    posture = qpos[:, walker.scene.joint_qpos] - walker.robot.half_sitting_rad
+    peak_n = sim.sensors[:, :, sensors.ground_force_world[:, 2]].max(axis=(1, 2))
     to_present = soles[:, :, :3] - window[:, None, 0, :3]
     return WalkState(
         support_indicator=asked.indicator,
         ground_force_weights=force_z / weight_n,
-        sole_speed_m_s=np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2),
-        sole_height_m=soles[..., 2] - ground_z,
+        sole_speed_m_s=sole_speed,
+        sole_height_m=sole_height_m,
         foot_error_m=np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2),
         foot_heading_error_rad=np.abs(wrap_angle_rad(soles[..., 3] - targets[..., 3])),
         target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
@@ -270,6 +413,15 @@ def walk_state(walker: Walker, asked: Asked, previous_torque_nm: np.ndarray) -> 
         head_offset_m=np.linalg.norm(head_offset, axis=1),
         action_change_rad=np.abs(walker.action - asked.previous_action).mean(axis=1),
         torque_change_nm=torque_change,
+        swing_height_error_m=swing_error_m,
+        climb_m=climb_m,
+        step_s=asked.step_s,
+        pelvis_speed_z_m_s=latest[:, sensors.pelvis_linvel_world[2]],
+        power_w=np.abs(latest[:, sensors.joint_torque] * joint_speed).sum(axis=1),
+        posture_error_rad=np.abs(posture).mean(axis=1),
+        standing=asked.standing,
+        peak_force_weights=peak_n / weight_n,
+        hasty_m_s=hasty_m_s,
     )
 
 

@@ -140,7 +140,7 @@ class Trainer:
         self.ppo = make_ppo(self.env, config.ppo)
         self.segment = 0
         self.stage = config.curriculum.first()
-        self.best_score = (-np.inf, -np.inf)
+        self.best_score: tuple[float, ...] = (-np.inf,)
         self.history: list[dict[str, Any]] = []
 
     def run(self, progress: Callable[[Report], None]) -> None:
@@ -178,6 +178,7 @@ class Trainer:
         for update in range(config.updates_per_segment):
             done = self.segment + update / config.updates_per_segment
             set_progress(self.ppo, config.ppo, done / config.segments)
+            self.env.task.weights = config.rewards.at(done / config.segments)
             observation = self._sample(observation, tally)
             torch.set_num_threads(config.ppo.learner_threads)
             losses = self.ppo.update()
@@ -220,7 +221,9 @@ class Trainer:
                 if not isinstance(number, str):
                     writer.add_scalar(f"{group}/{name}", number, samples)
         writer.flush()
-        now = score(stage, results)
+        # A policy of the reward of the warm-up is none that the run is after.
+        settled = config.rewards.progress((self.segment - 1) / config.segments)
+        now = (settled, *score(stage, results))
         best = now > self.best_score
         self.best_score = max(now, self.best_score)
         line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}

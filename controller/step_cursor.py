@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.gait import GaitTicks, clock, support_indicator
+from controller.gait import CONTROL_PERIOD_S, GaitTicks, clock, support_indicator
 from planner.robot_model import Side
 
 STANCE = 2  # entries of a track before its first step
@@ -23,13 +23,21 @@ class Track:
     """The feet at the start and the steps to take.
 
     `side` (STANCE + N,) alternates; `pose_world` (STANCE + N, 4) is x_m, y_m, z_m, yaw_rad.
+    `step_s` (N,) is how long each step takes; None: as long as the robot's gait does.
     """
 
     side: np.ndarray
     pose_world: np.ndarray
+    step_s: np.ndarray | None = None
 
     @classmethod
-    def of(cls, start_feet_world: np.ndarray, side: np.ndarray, pose_world: np.ndarray) -> Track:
+    def of(
+        cls,
+        start_feet_world: np.ndarray,
+        side: np.ndarray,
+        pose_world: np.ndarray,
+        step_s: np.ndarray | None = None,
+    ) -> Track:
         """A track from both feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
 
         Raises:
@@ -42,6 +50,7 @@ class Track:
         return cls(
             side=np.concatenate([order, side]),
             pose_world=np.concatenate([start_feet_world[order], pose_world]),
+            step_s=step_s,
         )
 
 
@@ -50,14 +59,17 @@ class StepCursor:
 
     `entry` (B,) is the track entry that the window shows first. While a robot walks, this is
     the step whose foot swings (or has just landed); `tick` (B,) counts from its lift-off.
-    While it stands, the window shows the two feet it stands on.
+    While it stands, the window shows the two feet it stands on. `gait` is what steps take that
+    say nothing else.
     """
 
-    def __init__(self, ticks: GaitTicks, count: int, capacity: int):
-        self.ticks = ticks
+    def __init__(self, gait: GaitTicks, count: int, capacity: int):
+        self.gait = gait
         self._rows = np.arange(count)
         self._side = np.zeros((count, STANCE + capacity + 1), dtype=np.int64)
         self._pose = np.zeros((count, STANCE + capacity + 1, 4))
+        self._swing = np.full((count, STANCE + capacity + 1), gait.swing, dtype=np.int64)
+        self._double = np.full((count, STANCE + capacity + 1), gait.double_support, dtype=np.int64)
         self._steps = np.zeros(count, dtype=np.int64)
         self._wait = np.zeros(count, dtype=np.int64)
         self.entry = np.zeros(count, dtype=np.int64)
@@ -77,9 +89,21 @@ class StepCursor:
             grown = end + 1 - self._side.shape[1]
             self._side = np.pad(self._side, ((0, 0), (0, grown)))
             self._pose = np.pad(self._pose, ((0, 0), (0, grown), (0, 0)))
+            self._swing = np.pad(self._swing, ((0, 0), (0, grown)))
+            self._double = np.pad(self._double, ((0, 0), (0, grown)))
         self._side[row, :end], self._pose[row, :end] = track.side, track.pose_world
         # Past the last step the window shows the foot that is standing there already.
         self._side[row, end], self._pose[row, end] = track.side[-2], track.pose_world[-2]
+        self._swing[row], self._double[row] = self.gait.swing, self.gait.double_support
+        if track.step_s is not None and steps:
+            lasting = self.gait.lasting(track.step_s)
+            self._swing[row, STANCE:end], self._double[row, STANCE:end] = (
+                lasting.swing,
+                lasting.double_support,
+            )
+            # The weight shift before the first step is as quick as that step.
+            self._swing[row, :STANCE] = self._swing[row, STANCE]
+            self._double[row, :STANCE] = self._double[row, STANCE]
         self._steps[row] = steps
         self._wait[row] = wait_ticks
         self.standing[row] = steps == 0 or not walking
@@ -110,7 +134,24 @@ class StepCursor:
         start = waiting & (self._wait < 0)
         self.standing[start] = False
         self.entry[start] = STANCE - 1
-        self.tick[start] = self.ticks.swing
+        self.tick[start] = self._swing[start, STANCE - 1]
+
+    @property
+    def ticks(self) -> GaitTicks:
+        """Durations (B,) of the step in the window's first place."""
+        at = self._rows, self.entry
+        return GaitTicks(swing=self._swing[at], double_support=self._double[at])
+
+    @property
+    def step_s(self) -> np.ndarray:
+        """Seconds (B, 2) that the present and the next step take; the gait's while it stands."""
+        entries = self._rows[:, None], self.entry[:, None] + np.arange(2)
+        ticks = np.where(
+            self.standing[:, None],
+            self.gait.step,
+            self._swing[entries] + self._double[entries],
+        )
+        return ticks * CONTROL_PERIOD_S
 
     @property
     def step_number(self) -> np.ndarray:

@@ -61,6 +61,7 @@ class Walker:
             joint_qvel=self.scene.joint_qvel,
             clock=self.cursor.clock,
             window=self.cursor.window,
+            step_s=self.cursor.step_s,
         )
 
     def act(self, action: np.ndarray) -> np.ndarray:

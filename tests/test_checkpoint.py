@@ -73,7 +73,7 @@ def test_checkpoint_from_before_layouts_were_stored_is_taken(saved):
 def test_networks_of_another_size_are_refused(saved):
     learner = torch.load(saved.out / CHECKPOINT, weights_only=True)["learner"]
     key = next(k for k, v in learner["actor_state_dict"].items() if v.ndim == 2)
-    learner["actor_state_dict"][key] = torch.zeros(8, 41)
+    learner["actor_state_dict"][key] = torch.zeros(8, 40)
     change(saved, learner=learner, layout=None)
     assert "its networks do not fit jvrc1 as it is now" in refusal(saved)
 

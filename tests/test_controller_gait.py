@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from controller.gait import GaitTicks, clock, support_indicator
+from controller.gait import GaitTicks, clock, steps_s, support_indicator
 from controller.step_cursor import STANCE, StepCursor, Track
+from planner.plan import FootstepPlan
 from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 
@@ -118,6 +121,37 @@ def test_cursor_waits_shifts_weight_walks_and_stands():
     assert cursor.advance().tolist() == [False]
 
 
+def test_steps_take_as_long_as_the_track_says():
+    """0.7 s are 28 ticks, 19 of them swing; 1.4 s are 56, 38 of them."""
+    cursor = StepCursor(TICKS, 2, 2)
+    paced = replace(track([Side.LEFT, Side.RIGHT, Side.LEFT]), step_s=np.array([0.7, 1.4, 1.1]))
+    cursor.follow(1, paced, walking=True)
+    assert cursor.step_s[1] == pytest.approx([0.7, 1.4])
+    assert cursor.step_s[0] == pytest.approx([1.1, 1.1])  # stands: its gait's own
+    rows, ended = [], []
+    for tick in range(28 + 56 + 44):
+        rows.append((bool(cursor.swinging[1]), cursor.clock[1].tolist()))
+        ended += [tick + 1] if cursor.advance()[1] else []
+    assert ended == [28, 84, 128]
+    swinging = [swinging for swinging, _ in rows]
+    assert np.flatnonzero(np.diff(swinging)).tolist() == [18, 27, 65, 83, 113]
+    # A left step's phase goes from pi to 2 pi, evenly over its own duration.
+    assert rows[14][1] == pytest.approx([-1, 0], abs=1e-9)
+    assert rows[28 + 28][1] == pytest.approx([1, 0], abs=1e-9)
+    assert bool(cursor.arrived[1])
+    assert cursor.step_s[1] == pytest.approx([1.1, 1.1])
+
+
+def test_the_weight_shift_is_as_quick_as_the_first_step():
+    cursor = StepCursor(TICKS, 1, 2)
+    cursor.follow(0, replace(track([Side.LEFT]), step_s=np.array([0.7])))
+    ticks = 0
+    while not cursor.swinging[0]:
+        cursor.advance()
+        ticks += 1
+    assert ticks == 1 + 9
+
+
 def test_cursor_says_when_a_step_ends_once_per_step():
     cursor = StepCursor(TICKS, 1, 4)
     cursor.follow(0, track([Side.LEFT, Side.RIGHT]), walking=True)
@@ -168,3 +202,25 @@ def test_track_longer_than_the_first_capacity_is_taken_whole():
     for _ in range(39 * 44):
         cursor.advance()
     assert cursor.window[0, :, 0] == pytest.approx([8.0, 7.8])
+
+
+def test_only_straight_level_steps_are_taken_fast():
+    """Forward, a turn, sideways, up onto a tread and onto it with the other foot, and on."""
+    gait = get_robot("jvrc1").gait
+    sides = np.array([Side.LEFT, Side.RIGHT] * 3)
+    poses = np.array(
+        [
+            [0.3, 0.1, 0.0, 0.0],
+            [0.6, -0.1, 0.0, -0.2],
+            [0.6, 0.17, 0.0, -0.2],
+            [0.9, -0.15, 0.1, -0.2],
+            [0.92, 0.1, 0.1, -0.2],
+            [1.15, -0.2, 0.1, -0.2],
+        ]
+    )
+    plan = FootstepPlan(
+        start_feet_world=FEET, start=(0, 0, 0), goal=(1, 0, 0), side=sides, pose_world=poses
+    )
+    assert steps_s(plan, gait, "normal", 0.7, 1.4) is None
+    assert np.array_equal(steps_s(plan, gait, "slow", 0.7, 1.4), [1.4] * 6)
+    assert np.array_equal(steps_s(plan, gait, "fast", 0.7, 1.4), [0.7, 1.1, 1.1, 1.1, 1.1, 0.7])

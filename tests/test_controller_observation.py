@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ from controller.observation import (
     roll_pitch_rad,
     steps_in_heading_frame,
 )
-from controller.step_cursor import Track
+from controller.step_cursor import STANCE, Track
 from controller.step_sequences import draw_track
 from controller.walker import Walker
 from sim.robots import get_robot, robot_names
@@ -68,7 +70,7 @@ def test_mirror_maps_are_their_own_inverse(name):
 
 def mirrored_track(track: Track) -> Track:
     pose = track.pose_world * np.array([1, -1, 1, -1])
-    return Track(side=1 - track.side, pose_world=pose)
+    return replace(track, side=1 - track.side, pose_world=pose)
 
 
 @pytest.mark.parametrize("name", robot_names())
@@ -86,6 +88,7 @@ def test_mirrored_robot_sees_the_mirrored_observation(name):
         walker.place(0, qpos, qvel)
         walker.place(1, mirrored_qpos(scene, qpos), mirrored_qvel(scene, qvel))
         track = draw_track(rng, robot.step_model, start, mode=None, steps=6)
+        track = replace(track, step_s=rng.uniform(0.7, 1.4, len(track.side) - STANCE))
         walker.follow(0, track)
         walker.follow(1, mirrored_track(track))
         for _ in range(17 * trial):

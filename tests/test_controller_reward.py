@@ -26,6 +26,15 @@ PERFECT = r.WalkState(
     head_offset_m=np.zeros(1),
     action_change_rad=np.zeros(1),
     torque_change_nm=np.zeros(1),
+    swing_height_error_m=np.zeros(1),
+    climb_m=np.zeros(1),
+    step_s=np.array([1.0]),
+    pelvis_speed_z_m_s=np.zeros(1),
+    power_w=np.zeros(1),
+    posture_error_rad=np.zeros(1),
+    standing=np.array([False]),
+    peak_force_weights=np.ones(1),
+    hasty_m_s=np.zeros((1, 2)),
 )
 
 
@@ -70,6 +79,36 @@ def test_weights_sum_to_1(preset):
         ("upper_body", {"head_offset_m": np.array([0.2])}, np.exp(-0.4)),
         ("action_smoothness", {"action_change_rad": np.array([0.2])}, np.exp(-1)),
         ("torque_smoothness", {"torque_change_nm": np.array([4.0])}, np.exp(-1)),
+        # the swing foot may be as fast as it likes, the other not; both count on the way between
+        ("stance_at_rest", {"sole_speed_m_s": np.array([[0.1, 9.0]])}, np.exp(-1)),
+        (
+            "stance_at_rest",
+            {"support_indicator": np.zeros((1, 2)), "sole_speed_m_s": np.array([[0.0, 0.2]])},
+            (1 + np.exp(-2)) / 2,
+        ),
+        (
+            "swing_profile",
+            {"swing_height_error_m": np.array([-0.03])},
+            np.exp(-0.6) / 2 + np.exp(-2) / 2,
+        ),
+        ("pelvis_height", {"height_error_m": np.array([-0.04])}, np.exp(-1)),
+        ("pelvis_height", {"height_error_m": np.array([-0.1]), "climb_m": np.array([0.1])}, 1.0),
+        ("pelvis_speed", {"pelvis_speed_z_m_s": np.array([-0.2])}, np.exp(-2)),
+        (
+            "pelvis_speed",
+            {"pelvis_speed_z_m_s": np.array([0.25]), "climb_m": np.array([0.1])},
+            np.exp(-1),
+        ),
+        ("power", {"power_w": np.array([300.0])}, np.exp(-2)),
+        ("standing_posture", {"posture_error_rad": np.array([0.1])}, 1.0),
+        (
+            "standing_posture",
+            {"posture_error_rad": np.array([0.1]), "standing": np.array([True])},
+            np.exp(-2),
+        ),
+        ("peak_force", {"peak_force_weights": np.array([1.3])}, np.exp(-1)),
+        ("peak_force", {"peak_force_weights": np.array([0.7])}, 1.0),
+        ("soft_landing", {"hasty_m_s": np.array([[0.0, 0.15]])}, np.exp(-1)),
     ],
 )
 def test_hand_worked_values(term, change, expected):
@@ -81,6 +120,37 @@ def test_the_papers_weights():
     assert (weights.pop("ground_force"), weights.pop("foot_speed")) == (0.15, 0.15)
     assert weights.pop("any_foot_step") == 0.45
     assert set(weights.values()) == {0.05}
+
+
+def test_a_swing_foot_leaves_and_lands_slowly_and_clears_a_sill():
+    """Its speed at the ground is the one allowed there, and grows with the height."""
+    time_s = np.linspace(0.0, 0.375, 3751)
+    height_m = r.swing_profile_m(time_s)
+    speed_m_s = np.diff(height_m) / np.diff(time_s)
+    assert height_m[0] == 0.0
+    assert speed_m_s[0] == pytest.approx(r.TOUCHDOWN_M_S, rel=0.01)
+    rising = height_m[1:] < r.SWING_APEX_M
+    allowed = r.TOUCHDOWN_M_S + r.FASTER_PER_S * height_m[1:]
+    assert speed_m_s[rising] == pytest.approx(allowed[rising], rel=0.01)
+    assert height_m.max() == r.SWING_APEX_M
+    # Over the sills of 5 cm that plans step over, for more than half of the slowest swing.
+    assert np.mean(height_m > 0.05) > 0.5
+
+
+def test_a_schedule_goes_from_one_reward_to_the_other():
+    schedule = r.RewardSchedule(
+        first={"height": 1.0}, last={"height": 0.5, "power": 0.5}, blend=(0.2, 0.4)
+    )
+    assert schedule.at(0.0) == schedule.at(0.2) == {"height": 1.0}
+    assert schedule.at(0.3) == pytest.approx({"height": 0.75, "power": 0.25})
+    assert schedule.at(0.4) == schedule.at(1.0) == {"height": 0.5, "power": 0.5}
+    assert [schedule.progress(share) for share in (0.1, 0.25, 0.9)] == pytest.approx([0, 0.25, 1])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_weights_sum_to_1_all_the_way(share):
+    schedule = r.RewardSchedule(first=r.PRECISE, last=r.QUIET)
+    assert sum(schedule.at(share).values()) == pytest.approx(1.0)
 
 
 def test_unknown_term_is_an_error():

@@ -36,7 +36,7 @@ TINY = TrainConfig(
 
 def small_policy(robot, seed=0) -> Policy:
     rng = np.random.default_rng(seed)
-    inputs, outputs = 15 + 2 * len(robot.joints), len(robot.joints)
+    inputs, outputs = 17 + 2 * len(robot.joints), len(robot.joints)
     layers = (
         (rng.normal(size=(8, inputs)).astype(np.float32), np.zeros(8, np.float32)),
         (0.01 * rng.normal(size=(outputs, 8)).astype(np.float32), np.zeros(outputs, np.float32)),
@@ -156,7 +156,7 @@ def test_offsets_are_along_and_across_the_step():
 def test_policy_acts_as_its_layers_worked_by_hand():
     robot = get_robot("jvrc1")
     policy = small_policy(robot)
-    observation = np.random.default_rng(3).normal(size=(2, 39))
+    observation = np.random.default_rng(3).normal(size=(2, 41))
     (w1, b1), (w2, b2) = policy.layers
     scaled = (observation - policy.offset) / policy.scale
     expected = np.array([w2 @ np.maximum(w1 @ row + b1, 0) + b2 for row in scaled])
@@ -168,7 +168,7 @@ def test_policy_comes_back_from_its_files(tmp_path):
     policy = small_policy(robot)
     save_policy(policy, tmp_path / "p.safetensors")
     again = load_policy(robot, tmp_path / "p.safetensors")
-    observation = np.random.default_rng(0).normal(size=(3, 39))
+    observation = np.random.default_rng(0).normal(size=(3, 41))
     assert np.array_equal(again.act(observation), policy.act(observation))
     assert again.about["note"] == "a test's"
     assert not list(tmp_path.glob("*.tmp"))
@@ -282,3 +282,43 @@ def test_planned_steps_are_pieces_of_plans_with_either_foot_first():
 
 def empty_floor():
     return OccupancyGrid(cells=np.zeros((60, 80), np.uint8), resolution_m=0.05)
+
+
+def test_an_older_policy_does_not_look_at_the_durations_of_steps(tmp_path):
+    """Before steps had durations of their own, observations ended with the steps."""
+    robot = get_robot("jvrc1")
+    paced = small_policy(robot)
+    assert paced.is_paced
+    (w1, b1), last = paced.layers
+    older = replace(
+        paced,
+        layers=((w1[:, :-2], b1), last),
+        offset=paced.offset[:-2],
+        scale=paced.scale[:-2],
+        about={**paced.about, "observation": paced.about["observation"][:-1]},
+    )
+    save_policy(older, tmp_path / "old.safetensors")
+    again = load_policy(robot, tmp_path / "old.safetensors")
+    assert not again.is_paced
+    observation = np.random.default_rng(1).normal(size=(2, 41))
+    other = observation + np.r_[np.zeros(39), 1.0, 1.0]
+    assert np.array_equal(again.act(observation), again.act(other))
+    assert not np.array_equal(paced.act(observation), paced.act(other))
+
+
+def test_episodes_take_steps_of_drawn_durations_and_stairs_none_too_quick():
+    robot = get_robot("jvrc1")
+    config = TaskConfig(paced_share=1.0, step_s=(0.7, 1.4))
+    for mode, low in (("forward", 0.7), ("stairs", 1.1)):
+        task = WalkTask(robot, count=64, seed=2, mode=mode, config=config, stage=Stage(rise_m=0.1))
+        task.walker.cursor.entry[:] = 2
+        task.walker.cursor.standing[:] = False
+        step_s = task.walker.cursor.step_s
+        assert step_s.min() >= low - 0.0125
+        assert step_s.max() <= 1.4 + 0.0125
+        assert len(np.unique(step_s[:, 0])) > 8
+        # In some episodes the duration changes from step to step, in most it does not.
+        assert 0.5 < np.mean(step_s[:, 0] == step_s[:, 1]) < 1.0
+    own = WalkTask(robot, count=8, seed=2, config=TaskConfig(paced_share=0.0))
+    own.walker.cursor.entry[:] = 2
+    assert own.walker.cursor.step_s == pytest.approx(np.full((8, 2), 1.1))

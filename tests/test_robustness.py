@@ -136,7 +136,7 @@ def test_task_that_goes_back_to_no_hardness_is_calm_again():
     assert task.walker.late_ticks.all()
     task.restart(3, stage=Stage())
     assert not task.walker.late_ticks.any()
-    assert np.array_equal(task.observe(), task.critic_observe(task.observe())[:, :39])
+    assert np.array_equal(task.observe(), task.critic_observe(task.observe())[:, :41])
 
 
 def falling(variation, push_n):

@@ -51,8 +51,8 @@ class TrainOptions:
     seed: Annotated[int, whole_number(at_least=0)] = 0
     """Seed of the run, such as 0."""
 
-    reward: Annotated[str, choice("precise", "paper")] = "precise"
-    """Which reward: the paper's, or the more precise one, such as precise."""
+    reward: Annotated[str, choice("quiet", "precise", "paper")] = "quiet"
+    """Which reward: upright and quiet, the precise one of old, or the paper's, such as quiet."""
 
     curriculum: Annotated[str, choice("measured", "paper", "flat")] = "measured"
     """When stairs come: with success, on the paper's schedule, or never, such as measured."""
@@ -81,7 +81,7 @@ def run(options: TrainOptions) -> int:
     from controller.checkpoint import TrainingError
     from controller.env import TaskConfig
     from controller.ppo import TrainConfig
-    from controller.rewards import PRESETS
+    from controller.rewards import PRECISE, PRESETS
     from controller.runner import Trainer
 
     robot = find_robot(options.robot)
@@ -95,6 +95,7 @@ def run(options: TrainOptions) -> int:
         corpus=planned.digest,
         curriculum=curriculum,
         task=TaskConfig(reward=dict(PRESETS[options.reward])),
+        warm_up=dict(PRECISE) if options.reward == "quiet" else None,
     )
     trainer = Trainer(
         robot,
