@@ -22,7 +22,7 @@ from tyro import _errors as tyro_errors
 from tyro.constructors import PrimitiveConstructorSpec
 
 from app.output import InputError, as_bad_input
-from controller.policy import PolicyError
+from controller.policy import Policy, PolicyError
 from controller.tracking_limits import as_measured
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
@@ -349,6 +349,20 @@ def find_robot(name: str) -> Robot:
     """
     with as_bad_input(ValueError):
         return get_robot(name)
+
+
+def require_pace(policy: Policy, robot: Robot, pace: str) -> None:
+    """Checks that a policy can walk at a pace.
+
+    Raises:
+        InputError: It knows its robot's own gait alone.
+    """
+    if pace != "normal" and not policy.is_paced:
+        raise InputError(
+            f"--pace {pace}: the policy of {robot.name} knows one pace, {robot.gait.step_s:g} s a "
+            "step; walk at --pace normal, or give --policy one that `train` made since steps have "
+            "durations"
+        )
 
 
 def find_follower(name: str, policy: Path | None = None) -> Robot:

@@ -57,6 +57,8 @@ class FootstepPlan:
 
     side (N,): Side of each step. pose_world (N, 4): x_m, y_m, z_m, yaw_rad of each foot placed.
     start_feet_world (2, 4): where the feet stand before the first step, left then right.
+    step_s (N,): how long each step takes, from lift-off to the next foot's; None: as long as the
+        gait of the robot does.
     start, goal: pair poses x_m, y_m, yaw_rad. Arrays are read-only.
     epsilon: proven bound: what the search found costs at most epsilon times the optimum on the
         lattice, and refinement only lowers that; inf if nothing is proven.
@@ -69,6 +71,7 @@ class FootstepPlan:
     goal: Pose
     side: NDArray[np.int8] = field(default_factory=_no_sides)
     pose_world: FloatArray = field(default_factory=_no_poses)
+    step_s: FloatArray | None = None
     robot: str = ""
     map: str = ""
     status: PlanStatus = PlanStatus.FOUND
@@ -89,7 +92,12 @@ class FootstepPlan:
             raise ValueError(f"pose_world {pose.shape} must be (N, 4) with N = {side.shape}")
         if feet.shape != (2, 4):
             raise ValueError(f"start_feet_world {feet.shape} must be (2, 4)")
-        for name, array in (("side", side), ("pose_world", pose), ("start_feet_world", feet)):
+        arrays = {"side": side, "pose_world": pose, "start_feet_world": feet}
+        if self.step_s is not None:
+            arrays["step_s"] = step_s = np.array(self.step_s, dtype=float)
+            if step_s.shape != side.shape or not np.all((step_s > 0) & np.isfinite(step_s)):
+                raise ValueError(f"step_s must be a positive number for each of {len(side)} steps")
+        for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
@@ -115,8 +123,12 @@ class FootstepPlan:
                 side.name.lower(): self.start_feet_world[side].tolist() for side in Side
             },
             "steps": [
-                {"side": Side(int(s)).name.lower(), **dict(zip(_STEP_KEYS, p, strict=True))}
-                for s, p in zip(self.side, self.pose_world.tolist(), strict=True)
+                {
+                    "side": Side(int(side)).name.lower(),
+                    **dict(zip(_STEP_KEYS, self.pose_world[k].tolist(), strict=True)),
+                    **({} if self.step_s is None else {"step_s": float(self.step_s[k])}),
+                }
+                for k, side in enumerate(self.side)
             ],
             "cost_m": self.cost_m,
             "cost_before_refinement_m": self.cost_before_refinement_m,
@@ -153,6 +165,9 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
     steps = document["steps"]
     epsilon = document["epsilon"]
     before = document.get("cost_before_refinement_m")
+    timed = [step["step_s"] for step in steps if "step_s" in step]
+    if timed and len(timed) < len(steps):
+        raise ValueError(f"{len(timed)} of {len(steps)} steps have a step_s: give all or none")
     return FootstepPlan(
         start_feet_world=np.array(
             [_numbers(document["start_feet"][s.name.lower()], 4) for s in Side]
@@ -163,6 +178,7 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         pose_world=np.array(
             [_numbers([step[key] for key in _STEP_KEYS], 4) for step in steps]
         ).reshape(-1, 4),
+        step_s=np.array(_numbers(timed, len(steps))) if timed else None,
         robot=str(document["robot"]),
         map=str(document["map"]),
         status=PlanStatus(document["status"]),

@@ -51,6 +51,8 @@ def test_walk_in_the_room_writes_what_the_contract_names(tmp_path, capsys):
         (("--goal", "1,1,0", "--robot", "r2d2"), 2, "no robot 'r2d2'"),
         (("--goal", "1,1,0", "--policy", "none.safetensors"), 2, "no policy file"),
         (("--goal", "1,1"), 2, "not a pose"),
+        (("--goal", "1,1,0", "--pace", "hasty"), 2, "not one of slow, normal, fast"),
+        (("--goal", "1,1,0", "--robot", "hrp5p", "--pace", "fast"), 2, "knows one pace, 1.1 s"),
         (("--goal", "1,1,0", "--strip", "walk.txt"), 2, "must end in"),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import re
@@ -54,6 +55,22 @@ def test_a_plan_survives_its_file(plan):
     np.testing.assert_array_equal(again.side, plan.side)
     np.testing.assert_array_equal(again.start_feet_world, plan.start_feet_world)
     assert again.to_json() == plan.to_json()
+
+
+def test_durations_of_steps_survive_the_file_and_are_for_all_steps_or_none(plan):
+    paced = dataclasses.replace(plan, step_s=np.linspace(0.7, 1.4, len(plan)))
+    again = FootstepPlan.from_json(paced.to_json())
+    np.testing.assert_array_equal(again.step_s, paced.step_s)
+    document = json.loads(paced.to_json())
+    assert document["steps"][0]["step_s"] == 0.7
+    assert "step_s" not in json.loads(plan.to_json())["steps"][0]
+    assert FootstepPlan.from_json(plan.to_json()).step_s is None
+    del document["steps"][1]["step_s"]
+    with pytest.raises(ValueError, match="steps have a step_s: give all or none"):
+        FootstepPlan.from_json(json.dumps(document))
+    document["steps"][1]["step_s"] = 0.0
+    with pytest.raises(ValueError, match="must be a positive number"):
+        FootstepPlan.from_json(json.dumps(document))
 
 
 def test_the_file_has_the_documented_keys(plan):

@@ -31,8 +31,10 @@ from app.options import (
     Reach,
     ReachOption,
     RobotName,
+    choice,
     find_follower,
     read_grid,
+    require_pace,
     whole_number,
 )
 from app.output import (
@@ -45,7 +47,7 @@ from app.output import (
     say,
     write_text,
 )
-from controller.gait import CONTROL_PERIOD_S
+from controller.gait import CONTROL_PERIOD_S, PACES
 from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
@@ -80,6 +82,9 @@ class NavigateOptions(MapOptions):
 
     planner: PlannerName = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    pace: Annotated[str, choice(*PACES)] = "normal"
+    """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
 
     refine: bool = True
     """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
@@ -155,6 +160,7 @@ def walk_and_report(options: NavigateOptions) -> int:
     policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
     with as_bad_input(PolicyError):
         policy = load_policy(robot, policy_path)
+        require_pace(policy, robot, options.pace)
     _check_outputs(options)
     with ExitStack() as stack:
         if options.view:
@@ -194,7 +200,7 @@ def walked(
         start=options.start,
         goal=options.goal,
         seed=options.seed,
-        config=NavigatorConfig(planner=options.search),
+        config=NavigatorConfig(planner=options.search, pace=options.pace),
     )
     plan = navigator.plan()
     with ProgressBar("walking, steps", len(plan)) as bar:

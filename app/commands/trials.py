@@ -19,9 +19,11 @@ from app.options import (
     OptionalFile,
     PlannerName,
     RobotName,
+    choice,
     find_follower,
     number,
     read_grid,
+    require_pace,
     whole_number,
 )
 from app.output import (
@@ -34,6 +36,7 @@ from app.output import (
     write_text,
 )
 from app.workers import in_order
+from controller.gait import PACES
 from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
@@ -59,6 +62,9 @@ class TrialsOptions(MapOptions):
 
     planner: PlannerName = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    pace: Annotated[str, choice(*PACES)] = "normal"
+    """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
 
     refine: bool = True
     """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
@@ -104,13 +110,14 @@ class Course:
     unknown_is_free: bool
     planner: str = PlannerOptions.name
     refine: bool = True
+    pace: str = "normal"
 
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
     grid, robot = read_grid(options), find_follower(options.robot, options.policy)
     with as_bad_input(PolicyError):
-        load_policy(robot, options.policy)
+        require_pace(load_policy(robot, options.policy), robot, options.pace)
     make_folder(options.out, option="--out")
     course = Course(
         grid=grid,
@@ -119,6 +126,7 @@ def run(options: TrialsOptions) -> int:
         unknown_is_free=options.unknown_is_free,
         planner=options.planner,
         refine=options.refine,
+        pace=options.pace,
     )
     trials = draw_trials(course, options.count, options.apart, options.seed)
     results = []
@@ -188,7 +196,7 @@ def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
-        config=NavigatorConfig(planner=_search(course, trial)),
+        config=NavigatorConfig(planner=_search(course, trial), pace=course.pace),
     )
     plan = navigator.plan()
     while navigator.outcome is None:

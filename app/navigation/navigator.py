@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from app.navigation.report import Outcome
-from controller.gait import CONTROL_PERIOD_S
+from controller.gait import CONTROL_PERIOD_S, steps_s
 from controller.policy import Policy
 from controller.step_cursor import Track
 from controller.walker import Walker
@@ -29,7 +29,7 @@ GOAL_TOLERANCE_RAD = math.radians(10.0)
 
 @dataclass(frozen=True, kw_only=True)
 class NavigatorConfig:
-    """When to plan again, and when to give up."""
+    """When to plan again, when to give up, and the `pace` of the steps, one of `PACES`."""
 
     replan_error_m: float = 0.06
     replan_error_rad: float = 0.20
@@ -41,6 +41,7 @@ class NavigatorConfig:
     still_speed_m_s: float = 0.05
     spare_time_s: float = 10.0
     joint_noise_rad: float = 0.01
+    pace: str = "normal"
     planner: PlannerOptions = field(default_factory=PlannerOptions)
 
 
@@ -231,15 +232,26 @@ class Navigator:
         plan = self._planner.plan(
             start_feet_world=feet_world, first_side=first_side, goal=self.goal
         )
-        self.plans.append(plan)
-        return plan
+        paced = self._paced(plan)
+        self.plans.append(paced)
+        return paced
+
+    def _paced(self, plan: FootstepPlan) -> FootstepPlan:
+        """The plan with durations of its steps by the pace; normal ones are the gait's own."""
+        shortest_s, longest_s = self.policy.step_range_s(self.robot)
+        step_s = steps_s(plan, self.robot.gait, self.config.pace, shortest_s, longest_s)
+        return plan if step_s is None else replace(plan, step_s=step_s)
 
     def _follow(self, plan: FootstepPlan, *, wait_ticks: int, walking: bool) -> None:
-        track = Track.of(plan.start_feet_world, plan.side.astype(np.int64), plan.pose_world)
+        if plan.step_s is not None and len(plan):
+            self.policy.require_pace(self.robot, plan.step_s)
+        side = plan.side.astype(np.int64)
+        track = Track.of(plan.start_feet_world, side, plan.pose_world, plan.step_s)
         self.walker.follow(0, track, wait_ticks=wait_ticks, walking=walking)
         self.followed.append((self.time_s, plan))
         self._still_ticks = self._arrived_ticks = 0
-        walk_s = len(plan) * self.robot.gait.step_s
+        own_s = len(plan) * self.robot.gait.step_s
+        walk_s = own_s if plan.step_s is None else float(plan.step_s.sum())
         config = self.config
         self._deadline_s = self.time_s + config.wait_s + walk_s + config.spare_time_s
 

@@ -207,8 +207,8 @@ _SNAPSHOT_EVERY_S = 1 / 60
 class Session:
     """Runs the physics of a robot, and carries out commands from the page.
 
-    The methods may be called from any thread: they queue a command and return. `snapshot` is what is seen
-    now; `history` keeps what the plots show; `ended` is the first walk, once it is over.
+    The methods may be called from any thread: they queue a command and return. `snapshot` is what
+    is seen now; `history` keeps what the plots show; `ended` is the first walk, once it is over.
     """
 
     def __init__(
