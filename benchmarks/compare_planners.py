@@ -125,6 +125,7 @@ def main() -> None:
                 stop_at_first=first,
                 time_limit_s=arguments.limit_s or None,
                 seed=arguments.seed,
+                refine=False,
             )
             rows[name, first] = measure(grid, queries, options)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

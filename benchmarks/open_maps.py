@@ -115,7 +115,9 @@ def main() -> None:
         queries = draw_queries(grid, arguments.count, arguments.seed)
         first_m = np.full(len(queries), math.nan)
         for name in arguments.names:
-            options = PlannerOptions(name=name, stop_at_first=True, seed=arguments.seed)
+            options = PlannerOptions(
+                name=name, stop_at_first=True, seed=arguments.seed, refine=False
+            )
             compile_first(options)
             spent_s, expansions, cost_m, bound = measure(grid, queries, options).T
             if name == arguments.names[0]:

@@ -140,12 +140,13 @@ def timed(planner: Planner, query: dict[str, Any]) -> tuple[FootstepPlan, float]
 def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Arguments) -> Rows:
     """Measurements of all queries of a map."""
     model = StepModel(**{**vars(ROBOT), "cell_m": arguments.cell_m})
-    quick = PlannerOptions(epsilon=arguments.epsilon, stop_at_first=True)
+    quick = PlannerOptions(epsilon=arguments.epsilon, stop_at_first=True, refine=False)
     full = PlannerOptions(
         epsilon=arguments.epsilon,
         improve_expansions=None,
         time_limit_s=arguments.limit_s,
         max_expansions=10**9,
+        refine=False,
     )
     # Compiles, and makes the tables of the robot.
     Planner(grid, model, full).plan(start=queries[0]["start"], goal=queries[0]["goal"])

@@ -100,7 +100,7 @@ class Walk:
 
 def row_of(name: str, grid: OccupancyGrid, queries: list[dict], arguments: Arguments) -> str:
     """One line of the table."""
-    options = PlannerOptions(name=name, epsilon=arguments.epsilon, stop_at_first=True)
+    options = PlannerOptions(name=name, epsilon=arguments.epsilon, stop_at_first=True, refine=False)
     spent: list[tuple[float, int, float]] = []
     wrong = lost = 0
     for number, query in enumerate(queries[:1] + queries):

@@ -38,7 +38,7 @@ class PlannerOptions:
     max_expansions: int = 3_000_000
     time_limit_s: float | None = None
     stop_at_first: bool = False
-    refine: bool = False
+    refine: bool = True
     unknown_is_free: bool = False
     record: bool = False
     heuristic: str = FULL

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
+from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
 from planner.planner import plan_footsteps
 from planner.robot_model import StepModel
@@ -36,7 +37,13 @@ def blocked_at(*boxes: tuple[int, int, int, int]) -> OccupancyGrid:
 
 def small_plan() -> FootstepPlan:
     """A plan over the empty floor, turning."""
-    return plan_footsteps(FLOOR, small_model(), start=(1.0, 1.0, 0.2), goal=(2.5, 1.8, 1.0))
+    return plan_footsteps(
+        FLOOR,
+        small_model(),
+        start=(1.0, 1.0, 0.2),
+        goal=(2.5, 1.8, 1.0),
+        options=PlannerOptions(refine=False),
+    )
 
 
 # A wall with a way around its upper end.

@@ -121,7 +121,7 @@ def test_the_lattice_leads_round_what_a_path_runs_into(monkeypatch, post, first)
         return BodyWay(corners=np.array([query.start, query.goal]), iterations=1)
 
     monkeypatch.setattr(sampling, "find_way", straight_through)
-    options = PlannerOptions(name="rrtconnect", stop_at_first=first)
+    options = PlannerOptions(name="rrtconnect", stop_at_first=first, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
     assert plan.found
     assert violations(plan, grid, model) == []

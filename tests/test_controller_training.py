@@ -19,6 +19,7 @@ from controller.step_cursor import STANCE
 from controller.step_sequences import MAX_STEPS, MODES, PlannedSteps, draw_track
 from maps.grid import OccupancyGrid
 from planner.corpus.corpus import corpus_of
+from planner.options import PlannerOptions
 from planner.plan import feet_at, relative_step
 from planner.planner import plan_footsteps
 from planner.robot_model import Side
@@ -259,7 +260,9 @@ def test_planned_steps_are_pieces_of_plans_with_either_foot_first():
     robot = get_robot("jvrc1")
     model = robot.step_model
     plans = [
-        plan_footsteps(empty_floor(), model, start=(1, 1, 0), goal=goal)
+        plan_footsteps(
+            empty_floor(), model, start=(1, 1, 0), goal=goal, options=PlannerOptions(refine=False)
+        )
         for goal in ((2.5, 1.2, 0.4), (1.0, 1.0, 0.0))
     ]
     assert [len(plan) > 0 for plan in plans] == [True, False]

@@ -26,7 +26,7 @@ def test_only_fine_cells_have_a_coarse_lattice_and_its_cells_hold_whole_numbers_
 
 
 def test_a_node_of_the_coarse_lattice_is_the_same_foot_on_the_fine_one():
-    planner = Planner(GRID, FINE)
+    planner = Planner(GRID, FINE, options=PlannerOptions(refine=False))
     fine = planner._context_of(GOAL)
     assert fine.coarse is not None
     coarse = fine.coarse.lattice
@@ -46,9 +46,15 @@ def test_a_node_of_the_coarse_lattice_is_the_same_foot_on_the_fine_one():
 
 
 def test_a_plan_from_the_coarse_lattice_is_right_and_its_bound_holds_on_the_fine_one():
-    first = Planner(GRID, FINE, PlannerOptions(stop_at_first=True)).plan(start=START, goal=GOAL)
-    best = Planner(GRID, FINE, PlannerOptions(improve_expansions=None)).plan(start=START, goal=GOAL)
-    exact = Planner(GRID, FINE, PlannerOptions(name="astar")).plan(start=START, goal=GOAL)
+    first = Planner(GRID, FINE, PlannerOptions(stop_at_first=True, refine=False)).plan(
+        start=START, goal=GOAL
+    )
+    best = Planner(GRID, FINE, PlannerOptions(improve_expansions=None, refine=False)).plan(
+        start=START, goal=GOAL
+    )
+    exact = Planner(GRID, FINE, PlannerOptions(name="astar", refine=False)).plan(
+        start=START, goal=GOAL
+    )
     for plan in (first, best, exact):
         assert plan.found
         assert not violations(plan, GRID, FINE)
@@ -58,7 +64,7 @@ def test_a_plan_from_the_coarse_lattice_is_right_and_its_bound_holds_on_the_fine
 
 
 def test_the_coarse_lattice_follows_a_change_of_the_map():
-    planner = Planner(GRID, FINE, PlannerOptions(stop_at_first=True))
+    planner = Planner(GRID, FINE, PlannerOptions(stop_at_first=True, refine=False))
     assert planner.plan(start=START, goal=GOAL).found
     changed = blocked_at((10, 16, 22, 24), (17, 23, 17, 30))
     planner.take_map(changed)

@@ -9,6 +9,7 @@ from maps.grid import Cell
 from planner.heuristics.distance_field import draw_path, spread_from
 from planner.heuristics.heuristic import estimate, estimates
 from planner.heuristics.potential import MOVES
+from planner.options import PlannerOptions
 from planner.planner import Planner
 from planner.search.ad_star import heuristic_on_the_way
 from planner.search.problem import first_nodes
@@ -19,7 +20,7 @@ from tests.test_planner_heuristic import request_of
 
 def toward_on(grid, model, start, goal):
     """What a planner knows after one plan."""
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     planner.plan(start=start, goal=goal)
     assert planner._context is not None
     return planner._context[1]

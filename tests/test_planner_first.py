@@ -36,7 +36,7 @@ def test_to_arrive_facing_the_goal_pose_costs_nothing_and_from_before_it_a_turn(
 
 def test_a_first_plan_on_an_empty_floor_takes_few_expansions():
     rng = np.random.default_rng(5)
-    options = PlannerOptions(epsilon=2.0, stop_at_first=True)
+    options = PlannerOptions(epsilon=2.0, stop_at_first=True, refine=False)
     expansions = []
     for _ in range(12):
         start, goal = rng.uniform((1, 1, -np.pi), (8, 8, np.pi), (2, 3))
@@ -49,7 +49,9 @@ def test_a_first_plan_on_an_empty_floor_takes_few_expansions():
 
 def test_where_no_path_of_the_body_leads_the_first_search_takes_no_expansions():
     grid = blocked_at((0, 19, 30, 21))
-    plan = Planner(grid, MODEL).plan(start=(0.8, 1.5, 0.0), goal=(3.2, 1.5, 0.0))
+    plan = Planner(grid, MODEL, options=PlannerOptions(refine=False)).plan(
+        start=(0.8, 1.5, 0.0), goal=(3.2, 1.5, 0.0)
+    )
     assert plan.status is PlanStatus.NO_PATH
     assert plan.expansions == 0
 
@@ -57,7 +59,7 @@ def test_where_no_path_of_the_body_leads_the_first_search_takes_no_expansions():
 def test_a_gap_that_the_path_fits_through_and_the_body_does_not_is_left_aside_at_once():
     # The gap of 20 cm is open to the path of the bound; the way round is a metre and a half longer.
     grid = walled(80, 80, ((38, 0, 42, 39), (38, 41, 42, 70)))
-    options = PlannerOptions(stop_at_first=True)
+    options = PlannerOptions(stop_at_first=True, refine=False)
     plan = Planner(grid, MODEL, options).plan(start=(4.0, 2.0, 1.57), goal=(4.0, 6.0, 1.57))
     assert plan.found
     assert not violations(plan, grid, MODEL)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from maps.grid import OccupancyGrid
+from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
@@ -21,7 +22,9 @@ from tests.planner_treads import CASES, CLIMBER, LIMITS, floor
 @pytest.mark.parametrize("name", CASES)
 def test_the_cost_is_the_oracles_optimum(name):
     grid, start, goal = CASES[name]
-    plan = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
+    plan = plan_footsteps(
+        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     best = Oracle(grid, CLIMBER, goal).best_cost(start)
     assert plan.found == math.isfinite(best)
     if plan.found:
@@ -35,8 +38,16 @@ def test_the_cost_is_the_oracles_optimum(name):
 def test_heights_only_make_plans_dearer_and_some_do():
     dearer = 0
     for grid, start, goal in CASES.values():
-        with_heights = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
-        flat = plan_footsteps(replace(grid, elevation_m=None), CLIMBER, start=start, goal=goal)
+        with_heights = plan_footsteps(
+            grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+        )
+        flat = plan_footsteps(
+            replace(grid, elevation_m=None),
+            CLIMBER,
+            start=start,
+            goal=goal,
+            options=PlannerOptions(refine=False),
+        )
         if with_heights.found:
             assert with_heights.cost_m >= flat.cost_m - 1e-9
             dearer += with_heights.cost_m > flat.cost_m + 0.1
@@ -45,9 +56,11 @@ def test_heights_only_make_plans_dearer_and_some_do():
 
 def test_a_kerb_is_stepped_over_if_the_swing_clears_it():
     grid, start, goal = CASES["a kerb to go around"]
-    around = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
+    around = plan_footsteps(
+        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     high = small_model(limits=LIMITS, level_margin_m=0.0, swing_clear_m=0.08, cell_m=0.05)
-    over = plan_footsteps(grid, high, start=start, goal=goal)
+    over = plan_footsteps(grid, high, start=start, goal=goal, options=PlannerOptions(refine=False))
     assert max(around.pose_world[:, 1]) > 1.5
     assert max(over.pose_world[:, 1]) < 1.2
     assert not over.pose_world[:, 2].any()
@@ -62,8 +75,12 @@ def test_on_a_level_floor_the_plan_is_the_flat_one_but_for_its_height(height_m):
     flat = OccupancyGrid(cells=floor(boxes=((0, 11, 15, 12),)).cells, resolution_m=0.1)
     level = replace(flat, elevation_m=np.full(flat.shape, height_m))
     for start, goal in (((0.55, 0.6, 0.3), (1.8, 0.7, -1.2)), ((0.5, 2.0, 0.0), (2.0, 2.0, 3.0))):
-        one = plan_footsteps(flat, small_model(), start=start, goal=goal)
-        other = plan_footsteps(level, small_model(), start=start, goal=goal)
+        one = plan_footsteps(
+            flat, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
+        )
+        other = plan_footsteps(
+            level, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
+        )
         assert len(one) > 3
         np.testing.assert_array_equal(one.pose_world[:, [0, 1, 3]], other.pose_world[:, [0, 1, 3]])
         assert not one.pose_world[:, 2].any()
@@ -75,8 +92,12 @@ def test_on_a_level_floor_the_plan_is_the_flat_one_but_for_its_height(height_m):
 def test_lifting_the_floor_lifts_the_plan():
     grid, start, goal = CASES["walls on the treads"]
     lifted = replace(grid, elevation_m=grid.elevation_m - 2.5)
-    plan = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
-    lower = plan_footsteps(lifted, CLIMBER, start=start, goal=goal)
+    plan = plan_footsteps(
+        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
+    lower = plan_footsteps(
+        lifted, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     assert len(plan) > 3
     np.testing.assert_allclose(lower.pose_world, plan.pose_world - (0, 0, 2.5, 0), atol=1e-9)
 
@@ -84,8 +105,16 @@ def test_lifting_the_floor_lifts_the_plan():
 def test_heights_below_walls_mean_nothing():
     grid, start, goal = CASES["walls on the treads"]
     heights = np.where(grid.blocked(), 9.0, grid.elevation_m)
-    plan = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
-    other = plan_footsteps(replace(grid, elevation_m=heights), CLIMBER, start=start, goal=goal)
+    plan = plan_footsteps(
+        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
+    other = plan_footsteps(
+        replace(grid, elevation_m=heights),
+        CLIMBER,
+        start=start,
+        goal=goal,
+        options=PlannerOptions(refine=False),
+    )
     np.testing.assert_array_equal(plan.pose_world, other.pose_world)
 
 
@@ -93,8 +122,10 @@ def test_rise_and_fall_have_limits_of_their_own():
     grid = floor((0, 12, 24, 24, 0.1))
     low, high = (0.55, 1.2, 0.0), (1.95, 1.2, 0.0)
     up_only = replace(CLIMBER, limits=replace(LIMITS, z_m=(-0.05, 0.1)))
-    assert plan_footsteps(grid, up_only, start=low, goal=high).found
-    down = plan_footsteps(grid, up_only, start=high, goal=low)
+    assert plan_footsteps(
+        grid, up_only, start=low, goal=high, options=PlannerOptions(refine=False)
+    ).found
+    down = plan_footsteps(grid, up_only, start=high, goal=low, options=PlannerOptions(refine=False))
     assert down.status is PlanStatus.NO_PATH
     assert down.reason.endswith("steps go from -0.05 to 0.1 m")
 
@@ -107,13 +138,19 @@ def test_limits_without_level_steps_are_refused(z_m):
 
 def test_planning_goes_on_from_feet_measured_on_the_stairs():
     grid, start, goal = CASES["stairs"]
-    plan = plan_footsteps(grid, CLIMBER, start=start, goal=goal)
+    plan = plan_footsteps(
+        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     feet = plan.start_feet_world.copy()
     feet[plan.side[0]] = plan.pose_world[0]
     feet[plan.side[1]] = plan.pose_world[1]
-    exact = plan_footsteps(grid, CLIMBER, start_feet_world=feet, goal=goal)
+    exact = plan_footsteps(
+        grid, CLIMBER, start_feet_world=feet, goal=goal, options=PlannerOptions(refine=False)
+    )
     feet[:, 2] += (0.015, -0.012)
-    rough = plan_footsteps(grid, CLIMBER, start_feet_world=feet, goal=goal)
+    rough = plan_footsteps(
+        grid, CLIMBER, start_feet_world=feet, goal=goal, options=PlannerOptions(refine=False)
+    )
     assert max(feet[:, 2]) > 0.08
     assert exact.found
     np.testing.assert_array_equal(exact.pose_world, rough.pose_world)
@@ -132,14 +169,20 @@ def test_planning_goes_on_from_feet_measured_on_the_stairs():
 def test_a_place_that_is_not_level_is_refused_and_another_offered(goal, reason):
     grid = floor((0, 11, 24, 24, 0.2), (0, 0, 24, 11, 0.0))
     model = small_model(limits=LIMITS, level_margin_m=0.0, stance_width_m=0.3)
-    blocked = plan_footsteps(grid, model, start=(1.8, 0.7, 0.0), goal=goal)
+    blocked = plan_footsteps(
+        grid, model, start=(1.8, 0.7, 0.0), goal=goal, options=PlannerOptions(refine=False)
+    )
     assert blocked.status is PlanStatus.GOAL_BLOCKED
     assert blocked.reason.startswith(reason)
     there = tuple(float(v) for v in blocked.reason.rsplit(" ", 1)[1].split(","))
     assert math.dist(there[:2], goal[:2]) < 0.3
-    again = plan_footsteps(grid, model, start=(1.8, 0.7, 0.0), goal=there)
+    again = plan_footsteps(
+        grid, model, start=(1.8, 0.7, 0.0), goal=there, options=PlannerOptions(refine=False)
+    )
     assert again.status is not PlanStatus.GOAL_BLOCKED
-    start = plan_footsteps(grid, model, start=goal, goal=(1.8, 0.7, 0.0))
+    start = plan_footsteps(
+        grid, model, start=goal, goal=(1.8, 0.7, 0.0), options=PlannerOptions(refine=False)
+    )
     assert start.status is PlanStatus.START_BLOCKED
     assert start.reason.startswith(reason.replace("goal:", "start:"))
 
@@ -147,7 +190,7 @@ def test_a_place_that_is_not_level_is_refused_and_another_offered(goal, reason):
 @pytest.mark.parametrize("name", CASES)
 def test_the_floods_meet_just_where_there_is_a_plan(name):
     grid, start, goal = CASES[name]
-    planner = Planner(grid, CLIMBER)
+    planner = Planner(grid, CLIMBER, options=PlannerOptions(refine=False))
     plan = planner.plan(start=start, goal=goal)
     assert planner._context is not None
     lattice, oracle = planner._context[1].lattice, Oracle(grid, CLIMBER, goal)
@@ -169,10 +212,22 @@ def test_feet_may_stand_at_two_heights_where_the_robot_has_got_to_but_not_at_a_g
     grid = floor((0, 0, 12, 24, 0.1))
     feet = feet_at((0.7, 1.2, 0.0), 0.2)
     feet[Side.RIGHT, 2] = 0.1
-    plan = plan_footsteps(grid, CLIMBER, start_feet_world=feet, goal=(1.7, 1.6, 0.0))
+    plan = plan_footsteps(
+        grid,
+        CLIMBER,
+        start_feet_world=feet,
+        goal=(1.7, 1.6, 0.0),
+        options=PlannerOptions(refine=False),
+    )
     assert plan.found
     assert plan.start_feet_world[:, 2].tolist() == [0.0, 0.1]
     assert violations(plan, grid, CLIMBER, stood_freely=False) == []
-    across = plan_footsteps(grid, CLIMBER, start_feet_world=feet, goal=(1.7, 1.2, 0.0))
+    across = plan_footsteps(
+        grid,
+        CLIMBER,
+        start_feet_world=feet,
+        goal=(1.7, 1.2, 0.0),
+        options=PlannerOptions(refine=False),
+    )
     assert across.status is PlanStatus.GOAL_BLOCKED
     assert "the right foot would stand 0.10 m higher than the other" in across.reason

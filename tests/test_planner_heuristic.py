@@ -23,7 +23,7 @@ from tests.planner_oracle import Oracle, oracle_node, small_model
 def test_the_heuristic_is_never_above_the_exact_cost(name):
     grid, start, goal = CASES[name]
     model = small_model()
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     assert planner.plan(start=start, goal=goal).found
     assert planner._context is not None
     lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
@@ -44,7 +44,7 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
     # Without the table near the goal, which would hide an error of the body's path.
     grid, start, goal = CASES["wall"]
     model = small_model()
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     tables = planner._tables
     goal_table = replace(
         tables.goal_table,
@@ -79,7 +79,7 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
 def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuristic, reach_m):
     grid, start, goal = CASES[name]
     model = small_model()
-    options = PlannerOptions(heuristic=heuristic, goal_reach_m=reach_m)
+    options = PlannerOptions(heuristic=heuristic, goal_reach_m=reach_m, refine=False)
     planner = Planner(grid, model, options)
     assert planner.plan(start=start, goal=goal).found
     assert planner._context is not None
@@ -111,7 +111,7 @@ def test_the_more_a_heuristic_knows_the_fewer_states_a_star_expands():
             small_model(),
             start=start,
             goal=goal,
-            options=PlannerOptions(name="astar", heuristic=name),
+            options=PlannerOptions(name="astar", heuristic=name, refine=False),
         )
         for name in HEURISTICS
     ]
@@ -127,7 +127,9 @@ def test_euclidean_heuristics_by_hand():
     # At 45 degrees the feet of a step to the side are a cell's diagonal apart, and the body moves
     # by as much: the least cost of a metre is 1. The longest steps move it by 0.3 and 0.1 m.
     for name, metre_m in (("euclidean", 1.0), ("steps", 1.0 + 0.1 / math.hypot(0.3, 0.1))):
-        planner = Planner(grid, small_model(step_cost_m=0.1), PlannerOptions(heuristic=name))
+        planner = Planner(
+            grid, small_model(step_cost_m=0.1), PlannerOptions(heuristic=name, refine=False)
+        )
         planner.plan(start=start, goal=goal)
         assert planner._context is not None
         lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
@@ -169,14 +171,14 @@ def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
     model = small_model()
     best_m = Oracle(grid, model, goal).best_cost(start)
     request = request_of(grid, model, start, goal)
-    quick = quick_path(request, *first_nodes(request), PlannerOptions())
+    quick = quick_path(request, *first_nodes(request), PlannerOptions(refine=False))
     assert quick is not None
     assert quick.least_um / 1e6 <= best_m + 1e-5
     assert quick.cost_um / 1e6 >= best_m - 1e-5
 
 
 def request_of(grid, model, start, goal):
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     planner.plan(start=start, goal=goal)
     assert planner._context is not None
     feet = feet_at(start, model.stance_width_m)

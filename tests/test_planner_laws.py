@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at, wrap_angle
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
@@ -26,11 +27,15 @@ def test_plans_among_random_obstacles_are_right_and_repeat(seed):
     found = 0
     for _ in range(6):
         start, goal = rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (2, 3))
-        plan = plan_footsteps(grid, model, start=start, goal=goal)
+        plan = plan_footsteps(
+            grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
+        )
         if plan.found:
             found += 1
             assert violations(plan, grid, model) == []
-            again = plan_footsteps(grid, model, start=start, goal=goal)
+            again = plan_footsteps(
+                grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
+            )
             assert repeatable(again) == repeatable(plan)
     assert found
 
@@ -38,7 +43,7 @@ def test_plans_among_random_obstacles_are_right_and_repeat(seed):
 def test_a_plan_ends_with_the_goal_feet_to_the_bit_and_begins_where_the_robot_stands():
     grid, start, goal = CASES["wall"]
     model = small_model()
-    plan = plan_footsteps(grid, model, start=start, goal=goal)
+    plan = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
     feet = feet_at(goal, model.stance_width_m)
     for side, pose in zip(plan.side[-2:], plan.pose_world[-2:], strict=True):
         assert pose.tolist() == feet[side].tolist()
@@ -50,7 +55,13 @@ def test_straight_ahead_by_hand():
     # 0.9 m ahead at 0.3 m a step: first foot 0.3, second 0.6, third 0.9, fourth beside it. Each
     # of the three costs hypot(0.3, 0.2) + 0.1, the last 0.2 + 0.1.
     grid = walled(20, 30)
-    plan = plan_footsteps(grid, small_model(), start=(1.0, 1.0, 0.0), goal=(1.9, 1.0, 0.0))
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(1.0, 1.0, 0.0),
+        goal=(1.9, 1.0, 0.0),
+        options=PlannerOptions(refine=False),
+    )
     assert len(plan) == 4
     assert plan.cost_m == pytest.approx(3 * (math.hypot(0.3, 0.2) + 0.1) + 0.3, abs=1e-5)
     np.testing.assert_allclose(plan.pose_world[:, 0], [1.3, 1.6, 1.9, 1.9], atol=1e-9)
@@ -65,8 +76,10 @@ def test_the_mirrored_problem_costs_the_same():
         return pose[0], 2.4 - pose[1], -pose[2]
 
     model = small_model()
-    one = plan_footsteps(grid, model, start=start, goal=goal)
-    other = plan_footsteps(mirrored, model, start=flip(start), goal=flip(goal))
+    one = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
+    other = plan_footsteps(
+        mirrored, model, start=flip(start), goal=flip(goal), options=PlannerOptions(refine=False)
+    )
     assert other.cost_m == pytest.approx(one.cost_m, abs=1e-5)
     assert len(other) == len(one)
 
@@ -75,8 +88,10 @@ def test_the_mirrored_problem_costs_the_same():
 def test_the_first_foot_can_be_forced_and_is_else_the_cheaper_one(side):
     grid, start, goal = CASES["empty"]
     model = small_model()
-    free = plan_footsteps(grid, model, start=start, goal=goal)
-    forced = plan_footsteps(grid, model, start=start, goal=goal, first_side=side)
+    free = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
+    forced = plan_footsteps(
+        grid, model, start=start, goal=goal, first_side=side, options=PlannerOptions(refine=False)
+    )
     assert forced.side[0] == side
     assert violations(forced, grid, model) == []
     assert free.cost_m <= forced.cost_m + 1e-9
@@ -87,7 +102,7 @@ def test_the_first_foot_can_be_forced_and_is_else_the_cheaper_one(side):
 def test_planning_goes_on_from_feet_anywhere():
     grid, start, goal = CASES["wall"]
     model = small_model()
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     plan = planner.plan(start=start, goal=goal)
     feet = np.array(plan.start_feet_world)
     rng = np.random.default_rng(5)
@@ -103,7 +118,9 @@ def test_planning_goes_on_from_feet_anywhere():
 
 def test_no_step_is_needed_where_the_robot_stands_already():
     grid, start, _ = CASES["empty"]
-    plan = plan_footsteps(grid, small_model(), start=start, goal=start)
+    plan = plan_footsteps(
+        grid, small_model(), start=start, goal=start, options=PlannerOptions(refine=False)
+    )
     assert plan.found
     assert (len(plan), plan.cost_m, plan.epsilon) == (0, 0.0, 1.0)
     assert violations(plan, grid, small_model()) == []
@@ -112,7 +129,13 @@ def test_no_step_is_needed_where_the_robot_stands_already():
 def test_near_the_goal_no_step_is_wasted():
     # A foot's length ahead: one step and its closing step, never more.
     grid, _, _ = CASES["empty"]
-    plan = plan_footsteps(grid, small_model(), start=(1.0, 1.2, 0.0), goal=(1.2, 1.2, 0.0))
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(1.0, 1.2, 0.0),
+        goal=(1.2, 1.2, 0.0),
+        options=PlannerOptions(refine=False),
+    )
     assert len(plan) == 2
 
 
@@ -122,7 +145,13 @@ def test_no_plan_steps_through_a_wall(thickness):
     grid = walled(48, 48, boxes=((0, 24, 48, 24 + thickness),), resolution_m=0.05)
     model = small_model()
     for yaw in (0.0, math.pi / 2):
-        plan = plan_footsteps(grid, model, start=(0.7, 1.2, yaw), goal=(1.9, 1.2, yaw))
+        plan = plan_footsteps(
+            grid,
+            model,
+            start=(0.7, 1.2, yaw),
+            goal=(1.9, 1.2, yaw),
+            options=PlannerOptions(refine=False),
+        )
         assert plan.status is PlanStatus.NO_PATH
         assert plan.reason
         # Found by the 2D search: the lattice was not searched at all.
@@ -134,7 +163,13 @@ def test_a_door_is_used_if_the_body_fits_and_only_then():
     for cells, fits in ((5, True), (3, False)):
         # A wall across with a door of so many cells of 0.1 m; the body is 0.36 m wide.
         grid = walled(24, 24, boxes=((0, 12, 10, 13), (10 + cells, 12, 24, 13)))
-        plan = plan_footsteps(grid, model, start=(0.6, 1.2, 0.0), goal=(1.8, 1.2, 0.0))
+        plan = plan_footsteps(
+            grid,
+            model,
+            start=(0.6, 1.2, 0.0),
+            goal=(1.8, 1.2, 0.0),
+            options=PlannerOptions(refine=False),
+        )
         assert plan.found == fits
 
 
@@ -143,7 +178,9 @@ def test_clearance_draws_the_body_away_from_a_wall():
     start, goal = (0.6, 0.85, 0.0), (3.5, 0.85, 0.0)
 
     def nearest(model):
-        plan = plan_footsteps(grid, model, start=start, goal=goal)
+        plan = plan_footsteps(
+            grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
+        )
         x, y = plan.pose_world[:, 0], plan.pose_world[:, 1]
         return y[(x > 1.0) & (x < 3.0)].min()
 
@@ -154,7 +191,9 @@ def test_clearance_draws_the_body_away_from_a_wall():
 
 def test_headings_count_from_the_goal_and_wrap():
     grid, start, goal = CASES["empty"]
-    plan = plan_footsteps(grid, small_model(), start=start, goal=goal)
+    plan = plan_footsteps(
+        grid, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     off = wrap_angle(plan.pose_world[:, 3] - goal[2]) / (2 * math.pi / 8)
     np.testing.assert_allclose(off, np.round(off), atol=1e-9)
     assert np.all(np.abs(plan.pose_world[:, 3]) <= math.pi)

@@ -55,7 +55,7 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
     compared = 0
     while compared < 4:
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
-        planner = Planner(grid, model)
+        planner = Planner(grid, model, options=PlannerOptions(refine=False))
         planner.plan(start=start, goal=goal)
         if planner._context is None:
             continue  # the start or the goal itself is blocked
@@ -83,7 +83,9 @@ def test_no_goal_is_given_up_that_can_be_reached(seed, impatient):
     grid, rng = random_floor(seed)
     for _ in range(6):
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
-        plan = plan_footsteps(grid, LONG, start=start, goal=goal)
+        plan = plan_footsteps(
+            grid, LONG, start=start, goal=goal, options=PlannerOptions(refine=False)
+        )
         if plan.status in (PlanStatus.FOUND, PlanStatus.NO_PATH):
             reachable = math.isfinite(Oracle(grid, LONG, goal).best_cost(start))
             assert plan.found == reachable
@@ -96,17 +98,23 @@ def test_no_goal_is_given_up_that_can_be_reached(seed, impatient):
 def test_a_corner_too_tight_to_turn_is_found_out_from_its_smaller_side(
     start, goal, side, impatient
 ):
-    plan = plan_footsteps(BENT, LONG, start=start, goal=goal)
+    plan = plan_footsteps(BENT, LONG, start=start, goal=goal, options=PlannerOptions(refine=False))
     assert plan.status is PlanStatus.NO_PATH
     assert side in plan.reason
     # A short body of the same width gets round the corner.
-    assert plan_footsteps(BENT, small_model(), start=start, goal=goal).found
+    assert plan_footsteps(
+        BENT, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
+    ).found
 
 
 def test_the_floods_cost_no_expansions_once_they_know(impatient, monkeypatch):
-    quick = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER)
+    quick = plan_footsteps(
+        BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=PlannerOptions(refine=False)
+    )
     monkeypatch.setattr(run, "_PATIENCE", 10**9)
-    slow = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER)
+    slow = plan_footsteps(
+        BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=PlannerOptions(refine=False)
+    )
     assert slow.status is quick.status is PlanStatus.NO_PATH
     assert quick.expansions < slow.expansions / 2
 
@@ -121,7 +129,11 @@ def test_improving_stops_after_so_many_states_with_a_bound_that_holds():
 
     def plan(**options):
         found = plan_footsteps(
-            grid, model, start=start, goal=goal, options=PlannerOptions(epsilon=5.0, **options)
+            grid,
+            model,
+            start=start,
+            goal=goal,
+            options=PlannerOptions(epsilon=5.0, refine=False, **options),
         )
         assert violations(found, grid, model) == []
         return found
@@ -153,7 +165,9 @@ def test_a_robot_on_its_feet_keeps_its_margin_unless_it_stands_too_near():
     goal, checked = (1.3, 2.2, math.pi / 2), 0
     for x_m, freely in ((1.05, True), (1.08, True), (1.02, False)):
         feet = feet_at((x_m, 0.8, math.pi / 2), model.stance_width_m)
-        plan = plan_footsteps(grid, model, start_feet_world=feet, goal=goal)
+        plan = plan_footsteps(
+            grid, model, start_feet_world=feet, goal=goal, options=PlannerOptions(refine=False)
+        )
         assert plan.found
         assert violations(plan, grid, model, stood_freely=freely) == []
         checked += 1
@@ -162,4 +176,4 @@ def test_a_robot_on_its_feet_keeps_its_margin_unless_it_stands_too_near():
 
 def test_a_negative_effort_is_refused():
     with pytest.raises(ValueError, match="improve_expansions -1"):
-        PlannerOptions(improve_expansions=-1)
+        PlannerOptions(improve_expansions=-1, refine=False)

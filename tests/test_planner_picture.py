@@ -11,6 +11,7 @@ import pytest
 
 from app.pictures.canvas import LEFT, RIGHT, Canvas, body_path, draw_plan, write_picture
 from maps.grid import Cell, OccupancyGrid
+from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.planner import plan_footsteps
 from planner.robot_model import Side
@@ -39,7 +40,13 @@ def test_a_picture_shows_feet_where_they_are(plan):
 
 def test_a_large_map_is_cropped_to_the_plan():
     grid = OccupancyGrid(cells=np.zeros((200, 400), np.uint8), resolution_m=0.1)
-    plan = plan_footsteps(grid, small_model(), start=(10, 10, 0), goal=(11, 10, 0))
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(10, 10, 0),
+        goal=(11, 10, 0),
+        options=PlannerOptions(refine=False),
+    )
     image = draw_plan(plan, grid, small_model())
     # About 1 m and 1.5 m on each side wide, 0.2 m and the same high.
     assert image.shape[1] / image.shape[0] == pytest.approx(4.0 / 3.2, rel=0.1)
@@ -47,7 +54,13 @@ def test_a_large_map_is_cropped_to_the_plan():
 
 def test_a_failed_plan_and_a_tiny_map_can_be_drawn():
     grid = OccupancyGrid(cells=np.full((1, 3), Cell.UNKNOWN, np.uint8), resolution_m=0.05)
-    plan = plan_footsteps(grid, small_model(), start=(0.1, 0.02, 0), goal=(9, 9, 0))
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(0.1, 0.02, 0),
+        goal=(9, 9, 0),
+        options=PlannerOptions(refine=False),
+    )
     assert plan.status is PlanStatus.OFF_MAP
     assert draw_plan(plan, grid, small_model()).ndim == 3
 

@@ -180,8 +180,11 @@ def test_the_independent_check_tells_of_a_step_outside():
 def test_a_chain_with_a_step_outside_is_not_allowed():
     box = small_model(cell_m=0.05, headings=16)
     grid, start, goal = walled(30, 40), (0.5, 0.5, 0.0), (2.5, 2.0, 0.0)
-    planner = Planner(grid, with_polygon(box), PlannerOptions())
-    plans = planner.plan(start=start, goal=goal), plan_footsteps(grid, box, start=start, goal=goal)
+    planner = Planner(grid, with_polygon(box), PlannerOptions(refine=False))
+    plans = (
+        planner.plan(start=start, goal=goal),
+        plan_footsteps(grid, box, start=start, goal=goal, options=PlannerOptions(refine=False)),
+    )
     costs_um = []
     for plan in plans:
         rules, poses, outward = chain_of(planner, plan)
@@ -198,7 +201,7 @@ def test_the_cheapest_plan_is_that_of_the_oracle():
     for angle in (0.2, 0.5, 0.8, 1.1):
         goal = (0.6 + 1.3 * math.cos(angle), 0.6 + 1.3 * math.sin(angle), 0.3)
         best_m = Oracle(grid, model, goal).best_cost(start)
-        options = PlannerOptions(epsilon=1.0)
+        options = PlannerOptions(epsilon=1.0, refine=False)
         plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
         assert plan.found == math.isfinite(best_m)
         if plan.found:
@@ -216,7 +219,13 @@ def test_a_walk_from_feet_as_they_stand_begins_within_the_polygon():
     first = []
     for angle in np.arange(8) * math.pi / 4:
         goal = (1.5 + 0.9 * math.cos(angle), 1.4 + 0.9 * math.sin(angle), angle)
-        plan = plan_footsteps(walled(30, 40), model, start_feet_world=feet, goal=goal)
+        plan = plan_footsteps(
+            walled(30, 40),
+            model,
+            start_feet_world=feet,
+            goal=goal,
+            options=PlannerOptions(refine=False),
+        )
         if plan.found:
             first.append(steps_of(plan)[0])
     assert len(first) >= 4

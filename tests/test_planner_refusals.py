@@ -29,8 +29,12 @@ from tests.planner_oracle import small_model
 def test_a_blocked_goal_or_start_names_foot_or_body_and_a_free_pose(box, what):
     grid, model = blocked_at(box), small_model(foot=FootShape(length_m=0.18, width_m=0.1))
     here, there = (2.0, 1.5, 0.0), (0.8, 0.8, 0.0)
-    at_goal = plan_footsteps(grid, model, start=there, goal=here)
-    at_start = plan_footsteps(grid, model, start=here, goal=there)
+    at_goal = plan_footsteps(
+        grid, model, start=there, goal=here, options=PlannerOptions(refine=False)
+    )
+    at_start = plan_footsteps(
+        grid, model, start=here, goal=there, options=PlannerOptions(refine=False)
+    )
     for plan, status, name in (
         (at_goal, PlanStatus.GOAL_BLOCKED, "goal"),
         (at_start, PlanStatus.START_BLOCKED, "start"),
@@ -39,7 +43,9 @@ def test_a_blocked_goal_or_start_names_foot_or_body_and_a_free_pose(box, what):
         assert plan.reason.startswith(f"{name}: {what} would touch an obstacle")
         near = [float(v) for v in plan.reason.rsplit(" ", 1)[1].split(",")]
         assert math.dist(near[:2], here[:2]) < 0.5
-        assert plan_footsteps(grid, model, start=there, goal=near).found
+        assert plan_footsteps(
+            grid, model, start=there, goal=near, options=PlannerOptions(refine=False)
+        ).found
 
 
 def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
@@ -47,9 +53,9 @@ def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
     cells[10:20, 18:22] = Cell.UNKNOWN
     grid, model = FLOOR.with_cells(cells), small_model()
     start, goal = (0.8, 0.8, 0.0), (2.0, 1.5, 0.0)
-    plan = plan_footsteps(grid, model, start=start, goal=goal)
+    plan = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
     assert plan.status is PlanStatus.GOAL_BLOCKED
-    brave = PlannerOptions(unknown_is_free=True)
+    brave = PlannerOptions(unknown_is_free=True, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=brave)
     assert plan.found
     assert violations(plan, grid, model, unknown_is_free=True) == []
@@ -58,20 +64,34 @@ def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
 
 @pytest.mark.parametrize(("start", "goal"), [((1, 1, 0), (4.2, 1, 0)), ((-0.1, 1, 0), (1, 1, 0))])
 def test_poses_off_the_map_are_named(start, goal):
-    plan = plan_footsteps(FLOOR, small_model(), start=start, goal=goal)
+    plan = plan_footsteps(
+        FLOOR, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     assert plan.status is PlanStatus.OFF_MAP
     assert "from 0,0 to 4,3" in plan.reason
     assert ("start -0.1,1" if start[0] < 0 else "goal 4.2,1") in plan.reason
 
 
 def test_a_foot_over_the_maps_edge_is_blocked():
-    plan = plan_footsteps(FLOOR, small_model(), start=(1, 1, 0), goal=(3.98, 1, 0))
+    plan = plan_footsteps(
+        FLOOR,
+        small_model(),
+        start=(1, 1, 0),
+        goal=(3.98, 1, 0),
+        options=PlannerOptions(refine=False),
+    )
     assert plan.status is PlanStatus.GOAL_BLOCKED
 
 
 def test_a_goal_in_a_closet_is_found_out_without_searching_the_lattice():
     grid = blocked_at((9, 24, 11, 37), (20, 24, 22, 37), (9, 24, 22, 26), (9, 35, 22, 37))
-    plan = plan_footsteps(grid, small_model(), start=(1, 1, 0), goal=(3.1, 1.55, 0))
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(1, 1, 0),
+        goal=(3.1, 1.55, 0),
+        options=PlannerOptions(refine=False),
+    )
     assert plan.status is PlanStatus.NO_PATH
     assert plan.expansions == 0
     assert "enclose" in plan.reason
@@ -81,10 +101,22 @@ def test_a_robot_too_near_to_a_wall_may_leave_but_not_come():
     # 4 cm between body and wall, less than the margin of 6 cm.
     grid, model = blocked_at((0, 0, 30, 8)), small_model(body_margin_m=0.06)
     near, far = (1.02, 1.5, 0.0), (2.0, 1.5, 0.0)
-    assert plan_footsteps(grid, model, start=far, goal=near).status is PlanStatus.GOAL_BLOCKED
-    assert plan_footsteps(grid, model, start=near, goal=far).status is PlanStatus.START_BLOCKED
+    assert (
+        plan_footsteps(
+            grid, model, start=far, goal=near, options=PlannerOptions(refine=False)
+        ).status
+        is PlanStatus.GOAL_BLOCKED
+    )
+    assert (
+        plan_footsteps(
+            grid, model, start=near, goal=far, options=PlannerOptions(refine=False)
+        ).status
+        is PlanStatus.START_BLOCKED
+    )
     feet = feet_at(near, model.stance_width_m)
-    plan = plan_footsteps(grid, model, start_feet_world=feet, goal=far)
+    plan = plan_footsteps(
+        grid, model, start_feet_world=feet, goal=far, options=PlannerOptions(refine=False)
+    )
     assert plan.found
     assert violations(plan, grid, model, stood_freely=False) == []
 

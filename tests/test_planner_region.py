@@ -21,9 +21,14 @@ from tests.planner_oracle import Oracle, oracle_node, small_model
 REACH = (0.25, 0.8)
 
 
-def within(reach, **changes):
+def within(reach, *, refine=False, **changes):
+    reach_m, reach_rad = reach
     return PlannerOptions(
-        goal_reach_m=reach[0], goal_reach_rad=reach[1], improve_expansions=None, **changes
+        goal_reach_m=reach_m,
+        goal_reach_rad=reach_rad,
+        improve_expansions=None,
+        refine=refine,
+        **changes,
     )
 
 
@@ -59,7 +64,9 @@ def test_the_cheapest_end_is_found_by_every_search(name):
     grid, start, goal = CASES[name]
     model = small_model()
     least_m = cheapest(grid, model, start, goal, REACH)
-    exact = plan_footsteps(grid, model, start=start, goal=goal)
+    exact = plan_footsteps(
+        grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     assert least_m < exact.cost_m - 0.05
     for planner in ("ara", "astar", "backward", "adstar"):
         options = within(REACH, name=planner)
@@ -149,7 +156,7 @@ def test_whoever_stands_in_the_region_need_not_move():
 @pytest.mark.parametrize("reach", [(-0.1, 0.0), (0.0, math.inf), (math.nan, 0.0)])
 def test_a_reach_that_is_no_reach_is_refused(reach):
     with pytest.raises(ValueError, match="goal_reach"):
-        PlannerOptions(goal_reach_m=reach[0], goal_reach_rad=reach[1])
+        PlannerOptions(goal_reach_m=reach[0], goal_reach_rad=reach[1], refine=False)
 
 
 def test_replanning_keeps_to_the_region():

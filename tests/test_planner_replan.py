@@ -20,7 +20,7 @@ from planner.verify import violations
 from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, small_model
 
-KEPT = PlannerOptions(name="adstar")
+KEPT = PlannerOptions(name="adstar", refine=False)
 PROVEN = replace(KEPT, improve_expansions=None)
 MODELS = {
     "plain": small_model(),
@@ -39,7 +39,7 @@ FLOORS = {
 
 def optimum(grid, model, **query):
     """A plan of a fresh search that is proven to be the cheapest."""
-    return plan_footsteps(grid, model, options=PlannerOptions(name="astar"), **query)
+    return plan_footsteps(grid, model, options=PlannerOptions(name="astar", refine=False), **query)
 
 
 def assert_right(plan, best, grid, model):
@@ -176,7 +176,7 @@ def test_another_goal_begins_anew_and_the_old_one_again():
 @pytest.mark.parametrize("name", ["ara", "astar", "backward", "adstar"])
 def test_every_search_plans_over_a_changed_map_as_over_a_new_one(name):
     grid, start, goal = CASES["wall"]
-    model, options = small_model(), PlannerOptions(name=name, improve_expansions=None)
+    model, options = small_model(), PlannerOptions(name=name, improve_expansions=None, refine=False)
     planner = Planner(walled(), model, options)
     for floor in (walled(), grid, walled(boxes=((14, 0, 15, 24),)), walled(30, 30)):
         planner.take_map(floor)

@@ -142,7 +142,7 @@ def test_no_bound_is_too_high_for_plans_below_the_limit_on_random_floors(seed):
 
 def test_a_sharpened_search_finds_the_optimum_with_fewer_states(monkeypatch):
     model = fine_model(clearance_cost_m=0.0, clearance_m=0.0)
-    options = PlannerOptions(epsilon=1.2, improve_expansions=None)
+    options = PlannerOptions(epsilon=1.2, improve_expansions=None, refine=False)
     blunt, sharp = 0, 0
     for seed in range(6):
         rng = np.random.default_rng(seed)

@@ -64,7 +64,9 @@ def test_there_is_a_plan_wherever_the_full_search_finds_one(seed):
     boxes = np.hstack([corners, corners + sizes])
     grid, model = walled(32, 32, tuple(map(tuple, boxes))), small_model()
     start, goal = rng.uniform((0.3, 0.3, -3), (2.9, 2.9, 3), (2, 3))
-    best = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(name="astar"))
+    best = plan_footsteps(
+        grid, model, start=start, goal=goal, options=PlannerOptions(name="astar", refine=False)
+    )
     plan = plan_footsteps(
         grid, model, start=start, goal=goal, options=rstar(stop_at_first=True, seed=seed)
     )
@@ -87,6 +89,8 @@ def test_a_region_may_be_the_goal():
     options = rstar(goal_reach_m=reach[0], goal_reach_rad=reach[1], stop_at_first=True)
     plan = plan_footsteps(grid, small_model(), start=start, goal=goal, options=options)
     assert violations(plan, grid, small_model(), goal_reach=reach) == []
-    full = PlannerOptions(goal_reach_m=reach[0], goal_reach_rad=reach[1], improve_expansions=None)
+    full = PlannerOptions(
+        goal_reach_m=reach[0], goal_reach_rad=reach[1], improve_expansions=None, refine=False
+    )
     best = plan_footsteps(grid, small_model(), start=start, goal=goal, options=full)
     assert best.cost_m - 1e-6 <= plan.cost_m <= plan.epsilon * best.cost_m + 1e-6

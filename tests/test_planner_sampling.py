@@ -42,7 +42,7 @@ def test_each_finds_a_plan_round_a_wall_that_is_right_and_repeats(name, best_m):
     model = small_model()
     plans = {}
     for first in (True, False):
-        options = PlannerOptions(name=name, stop_at_first=first)
+        options = PlannerOptions(name=name, stop_at_first=first, refine=False)
         plan = plan_footsteps(GRID, model, start=START, goal=GOAL, options=options)
         assert plan.found
         assert (plan.planner, plan.epsilon) == (name, math.inf)
@@ -65,7 +65,9 @@ def test_another_seed_gives_another_plan():
                 model,
                 start=START,
                 goal=GOAL,
-                options=PlannerOptions(name="rrtconnect", stop_at_first=True, seed=seed),
+                options=PlannerOptions(
+                    name="rrtconnect", stop_at_first=True, seed=seed, refine=False
+                ),
             )
         )
         for seed in range(3)
@@ -75,7 +77,7 @@ def test_another_seed_gives_another_plan():
 
 def test_the_cost_is_that_of_the_steps():
     model = small_model()
-    options = PlannerOptions(name="rrtconnect", stop_at_first=True)
+    options = PlannerOptions(name="rrtconnect", stop_at_first=True, refine=False)
     plan = plan_footsteps(GRID, model, start=START, goal=GOAL, options=options)
     support = plan.start_feet_world[1 - plan.side[0]]
     total_m = 0.0
@@ -100,7 +102,9 @@ def test_plans_among_random_obstacles_are_right(seed):
     name = SAMPLING_PLANNERS[seed]
     found = 0
     for unknown_is_free in (False, True):
-        options = PlannerOptions(name=name, seed=seed, unknown_is_free=unknown_is_free)
+        options = PlannerOptions(
+            name=name, seed=seed, unknown_is_free=unknown_is_free, refine=False
+        )
         for start, goal in rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (5, 2, 3)):
             plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
             assert plan.found or plan.reason
@@ -112,7 +116,7 @@ def test_plans_among_random_obstacles_are_right(seed):
 
 def test_planning_goes_on_from_feet_anywhere():
     model = small_model()
-    planner = Planner(GRID, model, PlannerOptions(name="rrtconnect"))
+    planner = Planner(GRID, model, PlannerOptions(name="rrtconnect", refine=False))
     plan = planner.plan(start=START, goal=GOAL)
     feet = np.array(plan.start_feet_world)
     rng = np.random.default_rng(5)
@@ -132,7 +136,7 @@ def test_a_robot_that_stands_too_near_to_a_wall_gets_away():
     model = small_model(body_margin_m=0.1)
     # The body's side is 2 cm from the wall, where the margin wants 10.
     feet = np.array([[1.1, 1.3, 0.0, 0.0], [1.1, 1.1, 0.0, 0.0]])
-    options = PlannerOptions(name="rrtconnect")
+    options = PlannerOptions(name="rrtconnect", refine=False)
     plan = plan_footsteps(grid, model, start_feet_world=feet, goal=(1.8, 1.2, 0.5), options=options)
     assert plan.found
     assert violations(plan, grid, model, stood_freely=False) == []
@@ -146,7 +150,7 @@ def test_a_wall_all_across_is_proven_to_leave_no_way(name):
         small_model(),
         start=(0.6, 1.2, 0.0),
         goal=(1.8, 1.2, 0.0),
-        options=PlannerOptions(name=name),
+        options=PlannerOptions(name=name, refine=False),
     )
     assert plan.status is PlanStatus.NO_PATH
     assert "enclose" in plan.reason
@@ -155,7 +159,7 @@ def test_a_wall_all_across_is_proven_to_leave_no_way(name):
 @pytest.mark.parametrize("name", SAMPLING_PLANNERS)
 def test_a_planner_that_gives_up_says_so_and_claims_no_more(name):
     # One iteration finds no way around this wall, though there is one.
-    options = PlannerOptions(name=name, max_expansions=1)
+    options = PlannerOptions(name=name, max_expansions=1, refine=False)
     plan = plan_footsteps(GRID, small_model(), start=START, goal=GOAL, options=options)
     assert plan.status is PlanStatus.TIMED_OUT
     assert f"{name} found no path of the body within" in plan.reason
@@ -164,7 +168,7 @@ def test_a_planner_that_gives_up_says_so_and_claims_no_more(name):
 
 def test_stairs_are_climbed():
     grid, model = load_map(STAIRS), get_robot("jvrc1").step_model
-    options = PlannerOptions(name="rrtconnect", stop_at_first=True)
+    options = PlannerOptions(name="rrtconnect", stop_at_first=True, refine=False)
     plan = plan_footsteps(grid, model, start=(0.0, 0.0, 0.0), goal=(8.0, 0.0, 0.0), options=options)
     assert plan.found, plan.reason
     assert plan.pose_world[:, 2].max() == pytest.approx(0.6)

@@ -20,7 +20,7 @@ from tests.planner_oracle import Oracle, small_model
 def test_the_cost_is_the_oracles_optimum(name, planner):
     grid, start, goal = CASES[name]
     model = small_model()
-    options = PlannerOptions(name=planner)
+    options = PlannerOptions(name=planner, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
     assert plan.found
     assert plan.epsilon == 1.0
@@ -32,8 +32,10 @@ def test_the_cost_is_the_oracles_optimum(name, planner):
 def test_a_first_plan_costs_no_more_than_its_bound_times_the_optimum(epsilon):
     for grid, start, goal in CASES.values():
         model = small_model()
-        best = plan_footsteps(grid, model, start=start, goal=goal).cost_m
-        options = PlannerOptions(epsilon=epsilon, stop_at_first=True)
+        best = plan_footsteps(
+            grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
+        ).cost_m
+        options = PlannerOptions(epsilon=epsilon, stop_at_first=True, refine=False)
         plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
         assert best - 1e-6 <= plan.cost_m <= plan.epsilon * best + 1e-6
         assert violations(plan, grid, model) == []
@@ -42,15 +44,15 @@ def test_a_first_plan_costs_no_more_than_its_bound_times_the_optimum(epsilon):
 def test_limits_on_the_search_end_it_and_say_so():
     grid, start, goal = CASES["wall"]
     model = small_model()
-    options = PlannerOptions(max_expansions=1)
+    options = PlannerOptions(max_expansions=1, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
-    best = plan_footsteps(grid, model, start=start, goal=goal)
+    best = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
     assert plan.status is PlanStatus.TIMED_OUT
     assert "1 expansions" in plan.reason
     bound = float(plan.reason.split("at least ")[1].split(" m")[0])
     assert 1.0 < bound <= best.cost_m + 0.005
     assert len(plan) == 0
-    options = PlannerOptions(time_limit_s=1e-6)
+    options = PlannerOptions(time_limit_s=1e-6, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
     assert plan.status in (PlanStatus.TIMED_OUT, PlanStatus.FOUND)
 
@@ -58,10 +60,10 @@ def test_limits_on_the_search_end_it_and_say_so():
 def test_a_plan_cut_short_reports_a_bound_that_holds():
     grid, start, goal = CASES["posts"]
     model = small_model(cell_m=0.05, headings=16)
-    best = plan_footsteps(grid, model, start=start, goal=goal)
+    best = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
     bounds = set()
     for limit in (40, 200, 1000, best.expansions - 1):
-        options = PlannerOptions(max_expansions=limit, epsilon=5.0)
+        options = PlannerOptions(max_expansions=limit, epsilon=5.0, refine=False)
         plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
         if plan.found:
             assert best.cost_m - 1e-6 <= plan.cost_m <= plan.epsilon * best.cost_m + 1e-6
@@ -79,7 +81,9 @@ def test_a_way_far_dearer_than_the_heuristic_thinks_is_still_searched_in_order()
             cells[row : row + 3, col : col + 3] = Cell.OCCUPIED
     grid = OccupancyGrid(cells=cells, resolution_m=0.1)
     model = get_robot("jvrc1").step_model
-    plan = Planner(grid, model).plan(start=(0.55, 0.55, 0.0), goal=(3.9, 3.9, 0.0))
+    plan = Planner(grid, model, options=PlannerOptions(refine=False)).plan(
+        start=(0.55, 0.55, 0.0), goal=(3.9, 3.9, 0.0)
+    )
     assert plan.found
     assert len(plan) < 100
     assert plan.cost_m < 50
@@ -88,17 +92,21 @@ def test_a_way_far_dearer_than_the_heuristic_thinks_is_still_searched_in_order()
 
 def test_a_planner_kept_gives_the_plans_of_a_fresh_one():
     grid, model = walled(30, 40, ((0, 18, 20, 20),)), small_model()
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     for goal in ((3, 1, 0), (3, 1, 0), (1, 2.5, 2), (3, 1, 0)):
         kept = planner.plan(start=(1, 1, 0), goal=goal)
-        fresh = plan_footsteps(grid, model, start=(1, 1, 0), goal=goal)
+        fresh = plan_footsteps(
+            grid, model, start=(1, 1, 0), goal=goal, options=PlannerOptions(refine=False)
+        )
         np.testing.assert_array_equal(kept.pose_world, fresh.pose_world)
         assert kept.expansions == fresh.expansions
 
 
 def test_the_record_of_a_search_falls_in_cost_rises_in_bound_and_ends_with_the_plan():
     grid, start, goal = CASES["wall"]
-    planner = Planner(grid, small_model(), PlannerOptions(record=True, improve_expansions=None))
+    planner = Planner(
+        grid, small_model(), PlannerOptions(record=True, improve_expansions=None, refine=False)
+    )
     plan = planner.plan(start=start, goal=goal)
     record = planner.record
     assert record is not None
@@ -115,6 +123,6 @@ def test_the_record_of_a_search_falls_in_cost_rises_in_bound_and_ends_with_the_p
 
 def test_no_record_is_kept_that_nobody_asked_for():
     grid, start, goal = CASES["wall"]
-    planner = Planner(grid, small_model())
+    planner = Planner(grid, small_model(), options=PlannerOptions(refine=False))
     planner.plan(start=start, goal=goal)
     assert planner.record is None

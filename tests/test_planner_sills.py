@@ -61,7 +61,9 @@ def test_sills_are_stepped_over_and_never_on(start, goal, refine):
 
 def test_sills_higher_than_the_foot_swings_are_in_the_way():
     low = replace(MODEL, swing_clear_m=0.049)
-    plan = plan_footsteps(SILLS_MAP, low, start=(0, 0, 0), goal=(2.3, 0, 0))
+    plan = plan_footsteps(
+        SILLS_MAP, low, start=(0, 0, 0), goal=(2.3, 0, 0), options=PlannerOptions(refine=False)
+    )
     assert plan.status is PlanStatus.NO_PATH
 
 
@@ -71,7 +73,9 @@ def test_the_same_bars_as_obstacles_shut_the_doors():
         cols = slice(round((x0 + 2.0) / 0.025), round((x1 + 2.0) / 0.025))
         cells[:, cols] = Cell.OCCUPIED
     walls = OccupancyGrid(cells=cells, resolution_m=0.025, origin=SILLS_MAP.origin)
-    plan = plan_footsteps(walls, MODEL, start=(0, 0, 0), goal=(6, 2, 0))
+    plan = plan_footsteps(
+        walls, MODEL, start=(0, 0, 0), goal=(6, 2, 0), options=PlannerOptions(refine=False)
+    )
     assert plan.status is PlanStatus.NO_PATH
 
 
@@ -79,7 +83,11 @@ def test_the_same_bars_as_obstacles_shut_the_doors():
 def test_every_planner_finds_the_way_over_a_bar_that_is_the_only_one(name):
     # The fault of humanoid_navigation's default heuristic, which takes such a bar for a wall.
     plan = plan_footsteps(
-        SILLS_MAP, MODEL, start=(2.2, 0, 0), goal=(3.8, 0.4, 0), options=PlannerOptions(name=name)
+        SILLS_MAP,
+        MODEL,
+        start=(2.2, 0, 0),
+        goal=(3.8, 0.4, 0),
+        options=PlannerOptions(name=name, refine=False),
     )
     assert plan.found
     assert violations(plan, SILLS_MAP, MODEL) == []

@@ -9,6 +9,7 @@ import pytest
 
 from app.pictures.canvas import draw_plan
 from maps.map_files import load_map
+from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.planner import plan_footsteps
 from planner.verify import violations
@@ -30,7 +31,9 @@ STAIRS_MAP = load_map("maps/stairs.yaml")
 @pytest.mark.parametrize("name", ["jvrc1", "hrp5p"])
 def test_stairs_are_walked_with_feet_well_inside_the_treads(name, start, goal, z_m):
     model = get_robot(name).step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=start, goal=goal)
+    plan = plan_footsteps(
+        STAIRS_MAP, model, start=start, goal=goal, options=PlannerOptions(refine=False)
+    )
     assert plan.found
     assert violations(plan, STAIRS_MAP, model) == []
     assert (plan.pose_world[-2:, 2] == z_m).all()
@@ -49,14 +52,18 @@ def test_stairs_are_walked_with_feet_well_inside_the_treads(name, start, goal, z
 def test_a_robot_that_does_not_climb_is_told_so():
     model = replace(get_robot("jvrc1").step_model, limits=replace(LIMITS, z_m=(-0.01, 0.01)))
     model = replace(model, steps=((0.3, 0.2, 0.0), (0.0, 0.2, 0.0), (0.0, 0.2, 0.3)))
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(8, 0, 0))
+    plan = plan_footsteps(
+        STAIRS_MAP, model, start=(0, 0, 0), goal=(8, 0, 0), options=PlannerOptions(refine=False)
+    )
     assert plan.status is PlanStatus.NO_PATH
     assert plan.reason.endswith("steps go from -0.01 to 0.01 m")
 
 
 def test_the_independent_check_finds_wrong_heights():
     model = get_robot("jvrc1").step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(4.1, 0, 0))
+    plan = plan_footsteps(
+        STAIRS_MAP, model, start=(0, 0, 0), goal=(4.1, 0, 0), options=PlannerOptions(refine=False)
+    )
     poses = plan.pose_world.copy()
     poses[-5, 2] += 0.01
     lines = violations(replace(plan, pose_world=poses), STAIRS_MAP, model)
@@ -74,7 +81,9 @@ def test_the_independent_check_finds_wrong_heights():
 
 def test_the_picture_shades_the_floor_by_its_height():
     model = get_robot("jvrc1").step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(0.5, 0, 0))
+    plan = plan_footsteps(
+        STAIRS_MAP, model, start=(0, 0, 0), goal=(0.5, 0, 0), options=PlannerOptions(refine=False)
+    )
     image = draw_plan(plan, STAIRS_MAP, model)
     scale = image.shape[1] / STAIRS_MAP.size_m[0]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
+from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner, plan_through
 from planner.verify import violations
@@ -23,7 +24,9 @@ def floor(boxes=()):
 
 def test_the_robot_stands_at_every_pose_and_steps_alternate():
     grid, model = floor(), small_model()
-    plan = plan_through(Planner(grid, model), start=START, poses=[VIA, GOAL])
+    plan = plan_through(
+        Planner(grid, model, options=PlannerOptions(refine=False)), start=START, poses=[VIA, GOAL]
+    )
     assert plan.found
     assert plan.goal == GOAL
     assert np.all(np.diff(plan.side) != 0)
@@ -40,10 +43,12 @@ def test_the_robot_stands_at_every_pose_and_steps_alternate():
 
 def test_the_cost_is_that_of_the_legs():
     grid, model = floor(), small_model()
-    planner = Planner(grid, model)
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
     first = planner.plan(goal=VIA, start=START)
     plan = plan_through(planner, start=START, poses=[VIA, GOAL])
-    rest = plan_through(Planner(grid, model), start=START, poses=[VIA])
+    rest = plan_through(
+        Planner(grid, model, options=PlannerOptions(refine=False)), start=START, poses=[VIA]
+    )
     assert rest.cost_m == first.cost_m
     assert plan.cost_m > first.cost_m
     assert np.array_equal(plan.pose_world[: len(first)], first.pose_world)
@@ -51,7 +56,11 @@ def test_the_cost_is_that_of_the_legs():
 
 def test_a_leg_without_a_way_is_named():
     grid, model = floor(boxes=((13, 0, 14, 24),)), small_model()
-    plan = plan_through(Planner(grid, model), start=START, poses=[VIA, (0.8, 1.95, 2.5)])
+    plan = plan_through(
+        Planner(grid, model, options=PlannerOptions(refine=False)),
+        start=START,
+        poses=[VIA, (0.8, 1.95, 2.5)],
+    )
     assert plan.status is PlanStatus.NO_PATH
     assert plan.reason.startswith("leg 2 of 2: ")
     assert len(plan) == 0
@@ -59,4 +68,8 @@ def test_a_leg_without_a_way_is_named():
 
 def test_no_pose_is_an_error():
     with pytest.raises(ValueError, match="poses is empty"):
-        plan_through(Planner(floor(), small_model()), start=START, poses=[])
+        plan_through(
+            Planner(floor(), small_model(), options=PlannerOptions(refine=False)),
+            start=START,
+            poses=[],
+        )

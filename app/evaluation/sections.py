@@ -46,6 +46,7 @@ from controller.step_sequences import MODES, draw_track, kept_within
 from controller.tracking_limits import Measured, limits_from, planning_model
 from maps.grid import OccupancyGrid
 from planner.lattice.steps import allowed
+from planner.options import PlannerOptions
 from planner.robot_model import FootShape, StepLimits
 
 # Success of an evaluation: every flat mode, stairs, and a minute of mixed walking.
@@ -430,7 +431,11 @@ def _sway_m(bench: Bench, limits: StepLimits, count: int) -> list[tuple[str, flo
     model = planning_model(bench.robot.step_model, provisional)
     cells = np.zeros((round(2 * FLOOR_HALF_M / 0.05),) * 2, np.uint8)
     corner = (-FLOOR_HALF_M, -FLOOR_HALF_M, 0.0)
-    planner = Planner(OccupancyGrid(cells=cells, resolution_m=0.05, origin=corner), model)
+    planner = Planner(
+        OccupancyGrid(cells=cells, resolution_m=0.05, origin=corner),
+        model,
+        PlannerOptions(refine=False),
+    )
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
         far = GOAL_WITHIN_M
