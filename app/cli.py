@@ -100,15 +100,15 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
 )
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Runs the command line and returns the exit code.
+def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
+    """Runs the command line and returns the exit code; `program` is how it was called.
 
     Wrong input and Ctrl-C end in one line on standard error. Anything else that is raised is a
     fault of the program and keeps its traceback.
     """
     try:
         with _warnings_in_one_line():
-            code = _dispatch(list(arguments))
+            code = _dispatch(list(arguments), program)
             sys.stdout.flush()
             return code
     except InputError as error:
@@ -125,23 +125,23 @@ def main(arguments: Sequence[str]) -> int:
         return ExitCode.DONE
 
 
-def overview() -> str:
+def overview(program: str = PROGRAM) -> str:
     """The help of the program as a whole."""
     width = max(map(len, COMMANDS))
-    lines = [f"usage: {PROGRAM} COMMAND [OPTIONS]", ""]
+    lines = [f"usage: {program} COMMAND [OPTIONS]", ""]
     lines += ["A humanoid robot that walks to where it is told, on a map.", "", "commands:"]
     lines += [f"  {name:<{width}}  {command.summary}" for name, command in COMMANDS.items()]
-    lines += ["", f"example: {PROGRAM} {COMMANDS['navigate'].example}"]
-    lines += [f"options of a command: {PROGRAM} COMMAND --help"]
+    lines += ["", f"example: {program} {COMMANDS['navigate'].example}"]
+    lines += [f"options of a command: {program} COMMAND --help"]
     return "\n".join(lines)
 
 
-def _dispatch(arguments: list[str]) -> int:
+def _dispatch(arguments: list[str], program: str) -> int:
     if not arguments:
         raise InputError(f"no command given; the commands are {', '.join(COMMANDS)}")
     name, *rest = arguments
     if name in ("-h", "--help", "help"):
-        print(overview())
+        print(overview(program))
         return ExitCode.DONE
     if name not in COMMANDS:
         raise InputError(f"there is no command {name!r}; the commands are {', '.join(COMMANDS)}")
@@ -155,8 +155,8 @@ def _dispatch(arguments: list[str]) -> int:
     options = parse_options(
         command.load_options(),
         rest,
-        program=f"{PROGRAM} {name}",
-        example=f"{PROGRAM} {command.example}",
+        program=f"{program} {name}",
+        example=f"{program} {command.example}",
     )
     if not command.draws:
         from sim.gl import switch_gl_off

@@ -28,7 +28,7 @@ class PolicyError(ValueError):
     """The policy file is missing, broken, or made for something else."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Policy:
     """Layers of (weight (out, in), bias (out,)) with ReLU between them, and what they fit."""
 
@@ -36,6 +36,10 @@ class Policy:
     offset: np.ndarray
     scale: np.ndarray
     about: dict[str, Any]
+
+    def __repr__(self) -> str:
+        inputs, samples = len(self.offset), self.about.get("trained", {}).get("samples", 0)
+        return f"Policy({self.about['robot']}: {inputs} inputs, {samples / 1e6:.1f} M samples)"
 
     @property
     def is_paced(self) -> bool:

@@ -27,7 +27,7 @@ class Cell(IntEnum):
     UNKNOWN = 2
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class OccupancyGrid:
     """Cells (H, W) uint8 of `Cell` values, row 0 at the smallest y; read-only.
 
@@ -55,6 +55,11 @@ class OccupancyGrid:
         object.__setattr__(self, "cells", cells)
         if self.elevation_m is not None:
             object.__setattr__(self, "elevation_m", _elevation(self.elevation_m, cells.shape))
+
+    def __repr__(self) -> str:
+        rows, cols = self.shape
+        free = 100 * float(np.mean(self.cells == Cell.FREE))
+        return f"OccupancyGrid({rows} x {cols} cells of {self.resolution_m:g} m, {free:.0f} % free)"
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -30,6 +30,7 @@ REQUIRED_KEYS = ("image", "resolution", "origin", "negate")
 OPTIONAL_KEYS = ("occupied_thresh", "free_thresh", "mode")
 ELEVATION_KEYS = ("elevation", "elevation_scale", "elevation_offset")
 MODES = ("trinary", "scale", "raw")
+COMES_ALONG = Path(__file__).parent
 YAML_SUFFIXES = (".yaml", ".yml")
 UNKNOWN_GREY = 205
 Pose = tuple[float, float, float]
@@ -83,7 +84,11 @@ def find_map(
 ) -> MapMetadata:
     """What `load_map` reads for these arguments, before it reads the pictures. Raises MapError."""
     file = Path(path)
+    if not file.exists() and file.parts[:1] == (COMES_ALONG.name,):
+        # An installed program has the maps that come along beside this file.
+        file = COMES_ALONG.parent / file
     if not file.exists():
+        file = Path(path)
         raise MapError(f"map {file}: no such file; give an image (PNG, PGM, BMP, JPEG) or its YAML")
     if not file.is_file():
         raise MapError(f"map {file}: not a file; give an image (PNG, PGM, BMP, JPEG) or its YAML")

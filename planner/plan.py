@@ -51,7 +51,7 @@ def _no_poses() -> FloatArray:
     return np.zeros((0, 4))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class FootstepPlan:
     """Steps in the order in which they are taken, and what made them.
 
@@ -103,6 +103,12 @@ class FootstepPlan:
 
     def __len__(self) -> int:
         return len(self.side)
+
+    def __repr__(self) -> str:
+        if not self.found:
+            return f"FootstepPlan({self.status}: {self.reason})"
+        bound = f"at most {self.epsilon:.2f} times the least" if self.epsilon > 1 else "the least"
+        return f"FootstepPlan({len(self)} steps, cost {self.cost_m:.2f} m, {bound})"
 
     @property
     def found(self) -> bool:

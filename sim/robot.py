@@ -102,7 +102,7 @@ class GaitTiming:
         return self.single_support_s + self.double_support_s
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class Robot:
     """Everything that is special about one robot.
 
@@ -132,6 +132,9 @@ class Robot:
     add_meshes: Callable[[mujoco.MjSpec], None] | None = None
     needs: tuple[str, str] | None = None
     training_limits: StepLimits | None = None
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name}: {self.mass_kg:.0f} kg, {len(self.joints)} leg joints)"
 
     @cached_property
     def training_model(self) -> StepModel:

@@ -15,11 +15,9 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 
 from app.navigation.report import (
-    FootError,
     NavigationReport,
     Outcome,
     PolicyFile,
-    installed_versions,
 )
 from app.options import (
     FolderOption,
@@ -176,7 +174,11 @@ def walk_and_report(options: NavigateOptions) -> int:
             start=options.start,
             goal=options.goal,
         )
-        report = report_of(navigator, plan, options, policy_path, time.perf_counter() - started)
+        report = navigator.report(
+            map=plan.map,
+            policy=PolicyFile.of(policy_path),
+            wall_time_s=time.perf_counter() - started,
+        )
         _write(options, navigator, plan, report)
         print(report.to_json() if options.json else report.summary() + "\n", end="", flush=True)
         if report.outcome is not Outcome.REACHED:
@@ -208,47 +210,6 @@ def walked(
             navigator.tick()
             bar.update(min(len(navigator.placed), len(plan)))
     return navigator
-
-
-def report_of(
-    navigator: Navigator,
-    plan: FootstepPlan,
-    options: NavigateOptions,
-    policy_path: Path,
-    wall_time_s: float,
-) -> NavigationReport:
-    """What the walk came to."""
-    assert navigator.outcome is not None
-    walked = navigator.outcome is not Outcome.NO_PATH
-    distance_m, angle_rad = navigator.goal_error if walked else (None, None)
-    return NavigationReport(
-        outcome=navigator.outcome,
-        reason=navigator.reason,
-        goal_error_m=distance_m,
-        goal_error_rad=angle_rad,
-        steps_planned=len(plan),
-        steps_taken=len(navigator.placed),
-        replans=navigator.replans,
-        foot_error_m=FootError.of([placed.error_m for placed in navigator.placed]),
-        min_clearance_m=clearance_m(navigator) if walked else None,
-        planning_time_s=navigator.planning_time_s,
-        sim_time_s=navigator.time_s,
-        wall_time_s=wall_time_s,
-        robot=plan.robot,
-        map=plan.map,
-        start=options.start,
-        goal=options.goal,
-        seed=options.seed,
-        policy=PolicyFile.of(policy_path),
-        versions=installed_versions(),
-    )
-
-
-def clearance_m(navigator: Navigator) -> float | None:
-    """The least distance of the robot from a wall over the whole walk; None without walls."""
-    from sim.clearance import min_clearance_m
-
-    return min_clearance_m(navigator.scene, np.array(navigator.qpos[::4]))
 
 
 def _require_reachable(options: NavigateOptions) -> None:

@@ -186,7 +186,6 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
 def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
     from app.navigation.navigator import Navigator, NavigatorConfig
-    from sim.clearance import min_clearance_m
 
     robot = find_follower(course.robot, course.policy)
     navigator = Navigator(
@@ -198,26 +197,25 @@ def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
         seed=trial.seed,
         config=NavigatorConfig(planner=_search(course, trial), pace=course.pace),
     )
-    plan = navigator.plan()
+    navigator.plan()
     while navigator.outcome is None:
         navigator.tick()
-    walked = navigator.outcome is not Outcome.NO_PATH
-    distance_m, angle_rad = navigator.goal_error if walked else (None, None)
+    report = navigator.report()
     return {
         "number": trial.number,
         "start": list(trial.start),
         "goal": list(trial.goal),
-        "outcome": str(navigator.outcome),
-        "reason": navigator.reason,
-        "goal_error_m": distance_m,
-        "goal_error_rad": angle_rad,
-        "steps_planned": len(plan),
-        "steps_taken": len(navigator.placed),
-        "replans": navigator.replans,
+        "outcome": str(report.outcome),
+        "reason": report.reason,
+        "goal_error_m": report.goal_error_m,
+        "goal_error_rad": report.goal_error_rad,
+        "steps_planned": report.steps_planned,
+        "steps_taken": report.steps_taken,
+        "replans": report.replans,
         "foot_errors_m": [round(placed.error_m, 4) for placed in navigator.placed],
-        "min_clearance_m": min_clearance_m(navigator.scene, np.array(navigator.qpos[::4])),
-        "planning_time_s": navigator.planning_time_s,
-        "sim_time_s": navigator.time_s,
+        "min_clearance_m": navigator.min_clearance_m,
+        "planning_time_s": report.planning_time_s,
+        "sim_time_s": report.sim_time_s,
     }
 
 

@@ -9,7 +9,13 @@ from typing import Protocol
 
 import numpy as np
 
-from app.navigation.report import Outcome
+from app.navigation.report import (
+    FootError,
+    NavigationReport,
+    Outcome,
+    PolicyFile,
+    installed_versions,
+)
 from controller.gait import CONTROL_PERIOD_S, steps_s
 from controller.policy import Policy
 from controller.step_cursor import Track
@@ -17,9 +23,10 @@ from controller.walker import Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan, pair_pose, wrap_angle
+from planner.plan import FootstepPlan, finite_pose, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
+from sim.clearance import min_clearance_m
 from sim.robot import Robot
 from sim.scene import scene_of
 
@@ -100,7 +107,7 @@ class Navigator:
     ):
         self.config = config or NavigatorConfig()
         self.grid, self.robot, self.policy = grid, robot, policy
-        self.start, self.goal = tuple(start), tuple(goal)
+        self.start, self.goal, self.seed = tuple(start), tuple(goal), seed
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
         self.walker = Walker(self.scene, threads=1)
@@ -144,6 +151,44 @@ class Navigator:
         pose = pair_pose(self._feet())
         distance = math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1])
         return distance, abs(float(wrap_angle(pose[2] - self.goal[2])))
+
+    @property
+    def min_clearance_m(self) -> float | None:
+        """The least distance of the robot from a wall over the whole walk; None without walls."""
+        return min_clearance_m(self.scene, np.array(self.qpos[::4]))
+
+    def report(
+        self, *, map: str = "", policy: PolicyFile | None = None, wall_time_s: float = 0.0
+    ) -> NavigationReport:
+        """What the walk, which must have ended, came to."""
+        assert self.outcome is not None
+        walked = self.outcome is not Outcome.NO_PATH
+        distance_m, angle_rad = self.goal_error if walked else (None, None)
+        return NavigationReport(
+            outcome=self.outcome,
+            reason=self.reason,
+            goal_error_m=distance_m,
+            goal_error_rad=angle_rad,
+            steps_planned=len(self.plans[0]) if self.plans else 0,
+            steps_taken=len(self.placed),
+            replans=self.replans,
+            foot_error_m=FootError.of([placed.error_m for placed in self.placed]),
+            min_clearance_m=self.min_clearance_m if walked else None,
+            planning_time_s=self.planning_time_s,
+            sim_time_s=self.time_s,
+            wall_time_s=wall_time_s,
+            robot=self.robot.name,
+            map=map,
+            start=finite_pose(self.start),
+            goal=finite_pose(self.goal),
+            seed=self.seed,
+            policy=policy,
+            versions=installed_versions(),
+        )
+
+    def __repr__(self) -> str:
+        how = "walking" if self.outcome is None else str(self.outcome)
+        return f"{type(self).__name__}({self.robot.name}: {how}, {len(self.placed)} steps taken)"
 
     def plan(self) -> FootstepPlan:
         """Plan from the standing start; without a plan the outcome is NO_PATH."""

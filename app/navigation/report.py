@@ -72,7 +72,7 @@ class PolicyFile:
         return cls(file=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class NavigationReport:
     """Everything that report.json says, under the same names.
 
@@ -99,6 +99,11 @@ class NavigationReport:
     wall_time_s: float = 0.0
     policy: PolicyFile | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        error = self.foot_error_m
+        feet = "" if error is None else f", feet {100 * error.median:.1f} cm off (median)"
+        return f"NavigationReport({self.outcome}: {self.steps_taken} steps{feet})"
 
     def to_json(self) -> str:
         """The text of report.json."""
