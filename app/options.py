@@ -365,7 +365,7 @@ def require_pace(policy: Policy, robot: Robot, pace: str) -> None:
         )
 
 
-def find_follower(name: str, policy: Path | None = None) -> Robot:
+def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
     """The robot of that name with the step model that planning uses.
 
     Step limits and margins are those that the policy, by default the robot's own, was measured to

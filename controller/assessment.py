@@ -11,7 +11,7 @@ from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.policy import Policy
 from controller.ppo import TrainConfig
-from controller.randomization import Robustness
+from controller.randomization import DomainRandomization
 from controller.stairs import STAIR_MODES
 from sim.robot import Robot
 
@@ -108,7 +108,7 @@ def assess_mode(
         tread_error_m: each tread is uniformly up to this much higher or lower than observed.
         step_s: how long every step takes; None: as long as the robot's own gait does.
         joint_noise_deg: amplitude of the uniform noise on observed joint positions; that on
-            joint speeds is as in training (`Robustness.joint_speed_noise_per_s`).
+            joint speeds is as in training (`DomainRandomization.joint_speed_noise_per_s`).
     """
     config = replace(
         config or TaskConfig(),
@@ -116,10 +116,14 @@ def assess_mode(
         exact_rise=True,
         paced_share=0.0 if step_s is None else 1.0,
         step_s=(config or TaskConfig()).step_s if step_s is None else (step_s, step_s),
-        robustness=Robustness.exactly(joint_noise_deg=joint_noise_deg, tread_error_m=tread_error_m),
+        randomization=DomainRandomization.exactly(
+            joint_noise_deg=joint_noise_deg, tread_error_m=tread_error_m
+        ),
     )
     disturbed = joint_noise_deg > 0 or tread_error_m > 0
-    stage = Stage(rise_m=rise_m if mode in STAIR_MODES else 0.0, hardness=1.0 if disturbed else 0.0)
+    stage = Stage(
+        rise_m=rise_m if mode in STAIR_MODES else 0.0, disturbance_level=1.0 if disturbed else 0.0
+    )
     task = WalkTask(
         robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config, stage=stage
     )
@@ -187,7 +191,7 @@ def assess_stage(
     """
     cases: list[tuple[str | None, dict[str, float]]] = [(None, {})]
     if stage.rise_m > 0:
-        rough = {name: stage.hardness * value for name, value in ROUGH.items()}
+        rough = {name: stage.disturbance_level * value for name, value in ROUGH.items()}
         cases += [("stairs", {"rise_m": stage.rise_m, **extra}) for extra in ({}, rough)]
     return tuple(
         assess_mode(

@@ -1,4 +1,4 @@
-"""How hard the task is, and when it grows: flat ground first, then stairs of growing rise.
+"""The curriculum: flat ground first, then stairs of growing rise, and disturbances with them.
 
 Singh et al. 2022, sec. IV-E, train on flat ground until iteration 3000 and let the rise grow
 linearly over the next 8000. Here, by default, the rise grows whenever held-out episodes at the
@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """How hard episodes are: the highest rise (0: no stairs), and the share of disturbance."""
+    """The highest rise of episodes (0: no stairs), and the share of the disturbances."""
 
     rise_m: float = 0.0
-    hardness: float = 0.0
+    disturbance_level: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,15 +68,15 @@ class Curriculum:
         """
         if not self.measured:
             share = min(max((updates - self.flat_updates) / self.growth_updates, 0.0), 1.0)
-            return Stage(rise_m=self.top_rise_m * share, hardness=share)
+            return Stage(rise_m=self.top_rise_m * share, disturbance_level=share)
         if flat_success < self.flat_success:
             return stage
         if stage.rise_m > 0 and stairs_success < self.stairs_success:
             return stage
         if self.top_rise_m == 0:
-            return Stage(hardness=1.0)
+            return Stage(disturbance_level=1.0)
         rise_m = min(stage.rise_m + self.rise_step_m, self.top_rise_m)
-        return Stage(rise_m=rise_m, hardness=rise_m / self.top_rise_m)
+        return Stage(rise_m=rise_m, disturbance_level=rise_m / self.top_rise_m)
 
 
 MEASURED = Curriculum()

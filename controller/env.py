@@ -1,4 +1,4 @@
-"""The training task: B robots that follow tracks drawn anew every episode, flat or on stairs."""
+"""The training task: B robots that follow sequences drawn anew every episode, flat or on stairs."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from controller.curriculum import Stage
 from controller.gait import CONTROL_PERIOD_S
 from controller.observation import critic_fields, normaliser, policy_fields
-from controller.randomization import Disturbances, Robustness
+from controller.randomization import Disturbances, DomainRandomization
 from controller.rewards import (
     PRECISE,
-    Asked,
+    StepTargets,
     fallen,
     joint_torques_nm,
     privileged,
@@ -22,8 +22,8 @@ from controller.rewards import (
     walk_state,
 )
 from controller.stairs import STAIR_MODES, draw_stairs
-from controller.step_cursor import STANCE, Track
-from controller.step_sequences import MAX_STEPS, PlannedSteps, draw_track
+from controller.step_cursor import STANCE, StepSequence
+from controller.step_sequences import MAX_STEPS, PlannedSteps, draw_sequence
 from controller.walker import Walker
 from planner.robot_model import Interval
 from sim.robot import Robot
@@ -58,7 +58,7 @@ class TaskConfig:
     paced_share: float = 0.55
     step_s: Interval = (0.7, 1.4)
     exact_rise: bool = False
-    robustness: Robustness = field(default_factory=Robustness)
+    randomization: DomainRandomization = field(default_factory=DomainRandomization)
     reward: Mapping[str, float] = field(default_factory=lambda: dict(PRECISE))
 
     def __post_init__(self) -> None:
@@ -107,52 +107,60 @@ class Episodes:
         qvel[scene.joint_qvel] = config.joint_speed_noise_rad_s * rng.uniform(-1, 1, joints)
         walker.place(row, qpos, qvel)
         steps = int(rng.integers(4, MAX_STEPS + 1))
-        if stage.hardness > 0:
+        if stage.disturbance_level > 0:
             self._disturbances.draw_episode(
-                rng, row, stage.hardness, period_s=CONTROL_PERIOD_S, ticks=config.episode_ticks
+                rng,
+                row,
+                stage.disturbance_level,
+                period_s=CONTROL_PERIOD_S,
+                ticks=config.episode_ticks,
             )
         else:
-            self._disturbances.calm(row)
-        walker.late_ticks[row] = self._disturbances.late_ticks[row]
+            self._disturbances.clear(row)
+        walker.latency_ticks[row] = self._disturbances.latency_ticks[row]
         mode = self.mode
         if mode is None and stage.rise_m > 0 and rng.uniform() < config.stairs_share:
             mode = "stairs"
         if mode in STAIR_MODES:
-            track = self._on_stairs(rng, row, stage, str(mode), steps)
+            sequence = self._on_stairs(rng, row, stage, str(mode), steps)
         else:
-            track = self._on_the_level(rng, mode, steps)
+            sequence = self._on_the_level(rng, mode, steps)
         if rng.uniform() < config.paced_share:
-            track = replace(track, step_s=self._draw_step_s(rng, track, mode in STAIR_MODES))
-        walker.follow(row, track, wait_ticks=int(rng.integers(config.wait_ticks + 1)))
+            sequence = replace(
+                sequence, step_s=self._draw_step_s(rng, sequence, mode in STAIR_MODES)
+            )
+        walker.follow(row, sequence, wait_ticks=int(rng.integers(config.wait_ticks + 1)))
         self.on_stairs[row] = mode in STAIR_MODES
 
     def _on_stairs(
         self, rng: np.random.Generator, row: int, stage: Stage, mode: str, steps: int
-    ) -> Track:
-        track, ground = draw_stairs(
+    ) -> StepSequence:
+        sequence, ground = draw_stairs(
             rng,
             self._walker.robot.training_model,
             self._start_feet,
             mode=mode,
             rise_m=self._draw_rise_m(rng, stage),
             steps=steps,
-            tread_error_m=self._disturbances.draw_tread_error_m(rng, stage.hardness),
+            tread_error_m=self._disturbances.draw_tread_error_m(rng, stage.disturbance_level),
         )
         self._walker.sim.place_ground(row, ground)
-        return track
+        return sequence
 
-    def _on_the_level(self, rng: np.random.Generator, mode: str | None, steps: int) -> Track:
+    def _on_the_level(self, rng: np.random.Generator, mode: str | None, steps: int) -> StepSequence:
         if mode is None and self.planned and rng.uniform() < self.config.planned_share:
             return self.planned.draw(rng, self._start_feet, steps=steps)
         model = self._walker.robot.training_model
-        return draw_track(rng, model, self._start_feet, mode=mode, steps=steps)
+        return draw_sequence(rng, model, self._start_feet, mode=mode, steps=steps)
 
-    def _draw_step_s(self, rng: np.random.Generator, track: Track, on_stairs: bool) -> np.ndarray:
+    def _draw_step_s(
+        self, rng: np.random.Generator, sequence: StepSequence, on_stairs: bool
+    ) -> np.ndarray:
         """Durations (N,) of the steps: one for all, or in half of the episodes one that changes."""
         low, high = self.config.step_s
         if on_stairs:
             low = min(max(low, self._walker.robot.gait.step_s), high)
-        steps = len(track.side) - STANCE
+        steps = len(sequence.side) - STANCE
         drawn = rng.uniform(low, high, steps)
         changes = rng.uniform(size=steps) < (0.3 if rng.uniform() < 0.5 else 0.0)
         return np.asarray(drawn[np.maximum.accumulate(np.where(changes, np.arange(steps), 0))])
@@ -223,7 +231,7 @@ class WalkTask:
         self._rng = np.random.default_rng(seed)
         self._torque = np.zeros((count, len(robot.joints)))
         self.weights = dict(self.config.reward)
-        self._disturbances = Disturbances(self.config.robustness, count, len(robot.joints))
+        self._disturbances = Disturbances(self.config.randomization, count, len(robot.joints))
         self._varied = False
         self._episodes = Episodes(
             self.walker, self._disturbances, config=self.config, mode=mode, planned=planned
@@ -241,8 +249,10 @@ class WalkTask:
         """Forget everything and start new episodes from a seed, at a stage (default: as before)."""
         self._rng = np.random.default_rng(seed)
         self.stage = stage or self.stage
-        if (self.stage.hardness > 0 and self.config.robustness.varies_models) or self._varied:
-            self._disturbances.vary_models(self._rng, self.walker.sim, self.stage.hardness)
+        if (
+            self.stage.disturbance_level > 0 and self.config.randomization.varies_models
+        ) or self._varied:
+            self._disturbances.vary_models(self._rng, self.walker.sim, self.stage.disturbance_level)
             self._varied = True
         self.reset(np.arange(self.count))
 
@@ -258,13 +268,13 @@ class WalkTask:
         offset, scale = self._policy_normaliser
         observation = self.walker.observe()
         self._true_observation = (observation - offset) / scale
-        if self.stage.hardness == 0:
+        if self.stage.disturbance_level == 0:
             return self._true_observation
         return (self._disturbances.sense(self._rng, observation) - offset) / scale
 
     def step(self, action: np.ndarray) -> Transition:
         """Act on every robot, reward it, and start new episodes where one has ended."""
-        asked = Asked.of(self.walker)
+        asked = StepTargets.of(self.walker)
         side, rows = asked.side, np.arange(self.count)
         self._disturbances.push(self.walker.sim, self.ticks)
         landed = self.walker.act(action)

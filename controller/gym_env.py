@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from controller.curriculum import Stage
 from controller.env import TaskConfig, Transition, WalkTask
 from controller.gait import CONTROL_PERIOD_S
-from controller.gym_render import Moment, Painter
+from controller.gym_render import Moment, SceneRenderer
 from controller.observation import SCALED_LIMIT, policy_fields
 from controller.stairs import STAIR_MODES
 from controller.step_sequences import MODES
@@ -182,7 +182,7 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.observation_space = observation_space(self._task.robot)
         self.action_space = action_space(self._task.robot)
-        self._painter = Painter(self._task.walker.scene) if render_mode else None
+        self._painter = SceneRenderer(self._task.walker.scene) if render_mode else None
         self._ended = False
 
     def reset(
@@ -290,7 +290,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         self.single_action_space = action_space(self._task.robot)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._painter = Painter(self._task.walker.scene) if render_mode else None
+        self._painter = SceneRenderer(self._task.walker.scene) if render_mode else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

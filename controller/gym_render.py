@@ -35,7 +35,7 @@ COLOURS = {Side.LEFT: (0.12, 0.43, 0.78, 1.0), Side.RIGHT: (0.94, 0.47, 0.16, 1.
 PLATE_THICKNESS_M = 0.004
 
 
-class Painter:
+class SceneRenderer:
     """Draws one robot at a time, dressed, with the two steps before it.
 
     It draws in a GL context of its own, so that it does not matter what MUJOCO_GL said when

@@ -1,7 +1,7 @@
-"""What a robot has to put up with: noise, latency, pushes, other masses, treads that are off.
+"""Domain randomization: sensor noise, latency, pushes, model parameters, tread errors.
 
-Every range is (low, high). A `Robustness` says what is drawn; `Disturbances` holds what has been
-drawn for each of B robots and applies it. All of it scales with the hardness of the curriculum.
+Every range is (low, high). A `DomainRandomization` says what is drawn; `Disturbances` holds what
+was drawn for each of B robots and applies it. All of it scales with the curriculum's disturbance level.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ PUSH_TICKS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robustness:
+class DomainRandomization:
     """Ranges of everything that is disturbed, drawn per episode unless it says otherwise.
 
     In a share `quiet_share` of the episodes nothing is sensed wrongly, late or pushed. Noise is
@@ -36,8 +36,8 @@ class Robustness:
     joint_speed_noise_per_s: float = 10.0
     tilt_noise_deg: Interval = (0.0, 1.0)
     angular_speed_noise_rad_s: Interval = (0.0, 0.1)
-    late_share: float = 0.2
-    late_ticks: Interval = (0.0, 1.0)
+    latency_share: float = 0.2
+    latency_ticks: Interval = (0.0, 1.0)
     push_share: float = 0.25
     push_n_s: Interval = (0.0, 12.0)
     true_tread_share: float = 0.3
@@ -57,14 +57,16 @@ class Robustness:
                 raise ValueError(f"{name} {value} must be from 0 to 1")
 
     @classmethod
-    def exactly(cls, *, joint_noise_deg: float = 0.0, tread_error_m: float = 0.0) -> Robustness:
+    def exactly(
+        cls, *, joint_noise_deg: float = 0.0, tread_error_m: float = 0.0
+    ) -> DomainRandomization:
         """These amplitudes in every episode, and nothing else."""
         return cls(
             quiet_share=0.0,
             joint_noise_deg=(joint_noise_deg, joint_noise_deg),
             tilt_noise_deg=(0.0, 0.0),
             angular_speed_noise_rad_s=(0.0, 0.0),
-            late_share=0.0,
+            latency_share=0.0,
             push_share=0.0,
             true_tread_share=0.0,
             tread_error_m=(tread_error_m, tread_error_m),
@@ -90,66 +92,74 @@ def _check_range(name: str, interval: Interval) -> None:
         raise ValueError(f"{name}: ({low}, {high}) must be above 0")
     if not name.endswith("_factor") and name != "pelvis_com_m" and low < 0:
         raise ValueError(f"{name}: ({low}, {high}) must be 0 or more")
-    if name == "late_ticks" and high > 1:
+    if name == "latency_ticks" and high > 1:
         raise ValueError(f"{name}: ({low}, {high}) must be at most 1 control step")
 
 
 class Disturbances:
-    """What has been drawn for each of B robots. Nothing is drawn while the hardness is 0."""
+    """What has been drawn for each of B robots. Nothing is drawn at level 0."""
 
-    def __init__(self, config: Robustness, count: int, joints: int):
+    def __init__(self, config: DomainRandomization, count: int, joints: int):
         self.config = config
         self.joint_noise_rad = np.zeros(count)
         self.tilt_noise_rad = np.zeros(count)
         self.angular_speed_noise_rad_s = np.zeros(count)
-        self.late_ticks = np.zeros(count)
+        self.latency_ticks = np.zeros(count)
         self._push_n = np.zeros((count, 3))
         self._push_tick = np.full(count, -PUSH_TICKS)
         self._pushing = False
         self._joints = joints
 
     def draw_episode(
-        self, rng: np.random.Generator, row: int, hardness: float, *, period_s: float, ticks: int
+        self,
+        rng: np.random.Generator,
+        row: int,
+        disturbance_level: float,
+        *,
+        period_s: float,
+        ticks: int,
     ) -> None:
         """Draw an episode of `ticks` control steps of `period_s` for robot `row`."""
         config = self.config
         loud = rng.uniform() >= config.quiet_share
-        scale = hardness * loud
+        scale = disturbance_level * loud
         self.joint_noise_rad[row] = math.radians(scale * rng.uniform(*config.joint_noise_deg))
         self.tilt_noise_rad[row] = math.radians(scale * rng.uniform(*config.tilt_noise_deg))
         self.angular_speed_noise_rad_s[row] = scale * rng.uniform(*config.angular_speed_noise_rad_s)
-        late = loud and rng.uniform() < config.late_share
-        self.late_ticks[row] = hardness * rng.uniform(*config.late_ticks) * late
+        late = loud and rng.uniform() < config.latency_share
+        self.latency_ticks[row] = disturbance_level * rng.uniform(*config.latency_ticks) * late
         pushed = loud and rng.uniform() < config.push_share
         angle, push_n_s = rng.uniform(-np.pi, np.pi), rng.uniform(*config.push_n_s)
-        size_n = pushed * hardness * push_n_s / (PUSH_TICKS * period_s)
+        size_n = pushed * disturbance_level * push_n_s / (PUSH_TICKS * period_s)
         self._push_n[row] = size_n * math.cos(angle), size_n * math.sin(angle), 0.0
         self._push_tick[row] = rng.integers(ticks)
 
-    def calm(self, row: int) -> None:
+    def clear(self, row: int) -> None:
         """Robot `row` walks an episode without any of it."""
-        for amplitude in (self.joint_noise_rad, self.tilt_noise_rad, self.late_ticks):
+        for amplitude in (self.joint_noise_rad, self.tilt_noise_rad, self.latency_ticks):
             amplitude[row] = 0.0
         self.angular_speed_noise_rad_s[row] = 0.0
         self._push_n[row] = 0.0
 
-    def draw_tread_error_m(self, rng: np.random.Generator, hardness: float) -> float:
+    def draw_tread_error_m(self, rng: np.random.Generator, disturbance_level: float) -> float:
         """By how much the treads of one stair episode may be off."""
         off = rng.uniform() >= self.config.true_tread_share
-        return float(hardness * off * rng.uniform(*self.config.tread_error_m))
+        return float(disturbance_level * off * rng.uniform(*self.config.tread_error_m))
 
-    def vary_models(self, rng: np.random.Generator, sim: SimBatch, hardness: float) -> None:
+    def vary_models(
+        self, rng: np.random.Generator, sim: SimBatch, disturbance_level: float
+    ) -> None:
         """Draw the models of all simulations."""
         config, count = self.config, sim.count
 
         def factor(interval: Interval) -> np.ndarray:
-            return 1.0 + hardness * (rng.uniform(*interval, count) - 1.0)
+            return 1.0 + disturbance_level * (rng.uniform(*interval, count) - 1.0)
 
         sim.variation().set(
             friction=factor(config.friction_factor),
             mass=factor(config.mass_factor),
             gain=factor(config.gain_factor),
-            pelvis_com_m=hardness * rng.uniform(*config.pelvis_com_m, (count, 3)),
+            pelvis_com_m=disturbance_level * rng.uniform(*config.pelvis_com_m, (count, 3)),
         )
 
     def push(self, sim: SimBatch, ticks: np.ndarray) -> None:

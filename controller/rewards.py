@@ -320,7 +320,7 @@ SWING_FOOT_SHARE = 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class StepTargets:
     """What each of B robots was to do when its action was chosen; see `StepCursor`.
 
     `targets` (B, 2, 4), `window` (B, 2, 4) and `lift_off` (B, 4) are poses in the world, `side`
@@ -341,7 +341,7 @@ class Asked:
     standing: np.ndarray
 
     @classmethod
-    def of(cls, walker: Walker) -> Asked:
+    def of(cls, walker: Walker) -> StepTargets:
         """As it stands now, before the action."""
         cursor = walker.cursor
         ended = cursor.tick + 1
@@ -360,7 +360,7 @@ class Asked:
         )
 
 
-def walk_state(walker: Walker, asked: Asked, previous_torque_nm: np.ndarray) -> WalkState:
+def walk_state(walker: Walker, asked: StepTargets, previous_torque_nm: np.ndarray) -> WalkState:
     """What the reward is computed from, after the action; joint torques (B, J) are last step's."""
     sim, sensors, qpos = walker.sim, walker.scene.sensors, walker.sim.qpos
     targets, window, side = asked.targets, asked.window, asked.side

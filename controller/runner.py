@@ -37,7 +37,7 @@ from sim.robot import Robot
 
 
 @dataclass
-class Tally:
+class SegmentStatistics:
     """Counts over the transitions of a segment."""
 
     reward: float = 0.0
@@ -172,22 +172,22 @@ class Trainer:
         segment_seed = np.random.SeedSequence([config.seed, self.segment])
         torch.manual_seed(int(segment_seed.generate_state(1)[0]))  # rsl-rl draws from it
         self.env.task.restart(segment_seed, stage=self.stage)
-        started, tally = time.perf_counter(), Tally()
+        started, statistics = time.perf_counter(), SegmentStatistics()
         observation = self.env.get_observations()
         losses: dict[str, float] = {}
         for update in range(config.updates_per_segment):
             done = self.segment + update / config.updates_per_segment
             set_progress(self.ppo, config.ppo, done / config.segments)
             self.env.task.weights = config.rewards.at(done / config.segments)
-            observation = self._sample(observation, tally)
+            observation = self._sample(observation, statistics)
             torch.set_num_threads(config.ppo.learner_threads)
             losses = self.ppo.update()
         seconds = time.perf_counter() - started
         self.segment += 1
         results = assess_stage(self.robot, self._policy(), config, self.stage, threads=self.threads)
-        return self._note(writer, tally.summary(), losses, results, seconds)
+        return self._note(writer, statistics.summary(), losses, results, seconds)
 
-    def _sample(self, observation: Any, tally: Tally) -> Any:
+    def _sample(self, observation: Any, statistics: SegmentStatistics) -> Any:
         """One rollout with the present policy; returns the observation after it."""
         torch.set_num_threads(1)  # the physics has the cores
         with torch.inference_mode():
@@ -195,7 +195,7 @@ class Trainer:
                 actions = self.ppo.act(observation)
                 observation, rewards, dones, extras = self.env.step(actions)
                 self.ppo.process_env_step(observation, rewards, dones, extras)
-                tally.add(extras["transition"])
+                statistics.add(extras["transition"])
             self.ppo.compute_returns(observation)
         return observation
 

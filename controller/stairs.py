@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.step_cursor import Track
+from controller.step_cursor import StepSequence
 from planner.plan import relative_step
 from planner.robot_model import Side, StepModel
 from sim.terrain import LANDING_DEPTH_M, TREAD_DEPTH_M, TREADS, Ground
@@ -52,8 +52,8 @@ def draw_stairs(
     rise_m: float,
     steps: int,
     tread_error_m: float = 0.0,
-) -> tuple[Track, Ground]:
-    """A track of `steps` (at least 4) steps over a flight, and the ground that is really there.
+) -> tuple[StepSequence, Ground]:
+    """A sequence of `steps` (at least 4) steps over a flight, and the ground that is really there.
 
     Args:
         rng: what everything is drawn from.
@@ -81,10 +81,10 @@ def draw_stairs(
         shape = _draw_shape(rng, model, plain=attempt == TRIES, curved=mode == "stairs_curved")
         centres = _centres(start, heights, shape)
         poses = _foot_poses(rng, centres, place, side, shape)
-        track = Track.of(start_feet_world, side, poses)
-        if _within_limits(model, track):
+        sequence = StepSequence.of(start_feet_world, side, poses)
+        if _within_limits(model, sequence):
             break
-    return track, _ground(rng, centres, min(tread_error_m, rise_m / 2))
+    return sequence, _ground(rng, centres, min(tread_error_m, rise_m / 2))
 
 
 def _heights(rng: np.random.Generator, mode: str, places: int, rise_m: float) -> np.ndarray:
@@ -175,10 +175,12 @@ def _foot_poses(
     return poses
 
 
-def _within_limits(model: StepModel, track: Track) -> bool:
+def _within_limits(model: StepModel, sequence: StepSequence) -> bool:
     steps = [
-        relative_step(track.pose_world[k - 1], track.pose_world[k], Side(int(track.side[k])))
-        for k in range(2, len(track.side))
+        relative_step(
+            sequence.pose_world[k - 1], sequence.pose_world[k], Side(int(sequence.side[k]))
+        )
+        for k in range(2, len(sequence.side))
     ]
     return bool(model.limits.contain(np.array(steps), tolerance=1e-6).all())
 

@@ -1,8 +1,8 @@
 """Which step of its plan each robot is at.
 
-A track is a plan with the feet it starts from in front, so that every step has the stance it
+A sequence is a plan with the feet it starts from in front, so that every step has the stance it
 leaves: entry 0 is the starting place of the foot that moves first, entry 1 that of the other,
-entry 2 + k is step k. The window on the track is driven by the gait clock: it moves on when a
+entry 2 + k is step k. The window on the sequence is driven by the gait clock: it moves on when a
 step's period ends. So the side of each step and the phase of the gait always agree.
 """
 
@@ -15,11 +15,11 @@ import numpy as np
 from controller.gait import CONTROL_PERIOD_S, GaitTicks, clock, support_indicator
 from planner.robot_model import Side
 
-STANCE = 2  # entries of a track before its first step
+STANCE = 2  # entries of a sequence before its first step
 
 
 @dataclass(frozen=True, kw_only=True)
-class Track:
+class StepSequence:
     """The feet at the start and the steps to take.
 
     `side` (STANCE + N,) alternates; `pose_world` (STANCE + N, 4) is x_m, y_m, z_m, yaw_rad.
@@ -37,8 +37,8 @@ class Track:
         side: np.ndarray,
         pose_world: np.ndarray,
         step_s: np.ndarray | None = None,
-    ) -> Track:
-        """A track from both feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
+    ) -> StepSequence:
+        """A sequence from both feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
 
         Raises:
             ValueError: the steps do not alternate between left and right.
@@ -57,7 +57,7 @@ class Track:
 class StepCursor:
     """The present step of each of B robots, and where in its gait period each is.
 
-    `entry` (B,) is the track entry that the window shows first. While a robot walks, this is
+    `entry` (B,) is the sequence entry that the window shows first. While a robot walks, this is
     the step whose foot swings (or has just landed); `tick` (B,) counts from its lift-off.
     While it stands, the window shows the two feet it stands on. `gait` is what steps take that
     say nothing else.
@@ -76,14 +76,16 @@ class StepCursor:
         self.tick = np.zeros(count, dtype=np.int64)
         self.standing = np.ones(count, dtype=bool)
 
-    def follow(self, row: int, track: Track, *, wait_ticks: int = 0, walking: bool = False) -> None:
-        """Let robot `row` follow a track from its beginning.
+    def follow(
+        self, row: int, sequence: StepSequence, *, wait_ticks: int = 0, walking: bool = False
+    ) -> None:
+        """Let robot `row` follow a sequence from its beginning.
 
         It stands for `wait_ticks`, then shifts its weight during one double support, then
         takes the first step. With `walking` its feet are both down in mid-walk: it lifts the
         first foot at once.
         """
-        steps = len(track.side) - STANCE
+        steps = len(sequence.side) - STANCE
         end = STANCE + steps
         if end + 1 > self._side.shape[1]:
             grown = end + 1 - self._side.shape[1]
@@ -91,12 +93,12 @@ class StepCursor:
             self._pose = np.pad(self._pose, ((0, 0), (0, grown), (0, 0)))
             self._swing = np.pad(self._swing, ((0, 0), (0, grown)))
             self._double = np.pad(self._double, ((0, 0), (0, grown)))
-        self._side[row, :end], self._pose[row, :end] = track.side, track.pose_world
+        self._side[row, :end], self._pose[row, :end] = sequence.side, sequence.pose_world
         # Past the last step the window shows the foot that is standing there already.
-        self._side[row, end], self._pose[row, end] = track.side[-2], track.pose_world[-2]
+        self._side[row, end], self._pose[row, end] = sequence.side[-2], sequence.pose_world[-2]
         self._swing[row], self._double[row] = self.gait.swing, self.gait.double_support
-        if track.step_s is not None and steps:
-            lasting = self.gait.lasting(track.step_s)
+        if sequence.step_s is not None and steps:
+            lasting = self.gait.lasting(sequence.step_s)
             self._swing[row, STANCE:end], self._double[row, STANCE:end] = (
                 lasting.swing,
                 lasting.double_support,

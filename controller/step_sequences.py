@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.step_cursor import Track
+from controller.step_cursor import StepSequence
 from planner.corpus.corpus import Corpus
 from planner.robot_model import Side, StepLimits, StepModel
 
@@ -138,17 +138,17 @@ def chain_steps(
     return side, poses
 
 
-def draw_track(
+def draw_sequence(
     rng: np.random.Generator,
     model: StepModel,
     start_feet_world: np.ndarray,
     *,
     mode: str | None = None,
     steps: int = MAX_STEPS,
-) -> Track:
-    """A track of `steps` steps from the feet (2, 4): of one mode, or a mix when `mode` is None.
+) -> StepSequence:
+    """A sequence of `steps` steps from the feet (2, 4): of one mode, or a mix when `mode` is None.
 
-    The mode `standing` gives a track without steps. The last step sets the feet side by side.
+    The mode `standing` gives a sequence without steps. The last step sets the feet side by side.
     """
     relative: list[tuple[float, float, float]] = []
     first, outer_side = Side(int(rng.integers(2))), int(rng.integers(2))
@@ -167,7 +167,7 @@ def draw_track(
     drawn = np.array(relative).reshape(-1, 3)
     within = kept_within(drawn, model.limits, model.stance_width_m)
     side, poses = chain_steps(start_feet_world, first, within)
-    return Track.of(start_feet_world, side, poses)
+    return StepSequence.of(start_feet_world, side, poses)
 
 
 def kept_within(steps: np.ndarray, limits: StepLimits, stance_width_m: float) -> np.ndarray:
@@ -226,7 +226,9 @@ class PlannedSteps:
             digest=str(corpus.manifest.get("sha256", "")),
         )
 
-    def draw(self, rng: np.random.Generator, start_feet_world: np.ndarray, *, steps: int) -> Track:
+    def draw(
+        self, rng: np.random.Generator, start_feet_world: np.ndarray, *, steps: int
+    ) -> StepSequence:
         """At most `steps` steps in a row of one plan, from the feet (2, 4), either foot first.
 
         With the other foot first it is the plan in a mirror.
@@ -238,4 +240,4 @@ class PlannedSteps:
         side, poses = chain_steps(
             start_feet_world, foot, self.relative[begin : min(begin + steps, last)]
         )
-        return Track.of(start_feet_world, side, poses)
+        return StepSequence.of(start_feet_world, side, poses)

@@ -1,4 +1,4 @@
-"""Robots that follow step tracks: one code path for training (B = 256) and navigation (B = 1)."""
+"""Robots that follow sequences: one code path for training (B = 256) and navigation (B = 1)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.observation import observe
-from controller.step_cursor import StepCursor, Track
+from controller.step_cursor import StepCursor, StepSequence
 from sim.batch import SimBatch
 from sim.scene import Scene
 
@@ -16,7 +16,7 @@ class Walker:
 
     An action (B, J) is an offset in rad from half-sitting. The joint target sent is half the
     new action and half the one before, as in the reference code of Singh et al. 2022.
-    `late_ticks` (B,) in [0, 1] is by how much of a control step targets come late.
+    `latency_ticks` (B,) in [0, 1] is by how much of a control step targets come late.
     """
 
     def __init__(
@@ -39,7 +39,7 @@ class Walker:
         )
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
-        self.late_ticks = np.zeros(count)
+        self.latency_ticks = np.zeros(count)
         self._sent = np.zeros((count, len(self.robot.joints)))
 
     def place(self, row: int, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
@@ -47,9 +47,11 @@ class Walker:
         self.sim.reset(np.array([row]), qpos[None], None if qvel is None else qvel[None])
         self.action[row] = self._sent[row] = 0.0
 
-    def follow(self, row: int, track: Track, *, wait_ticks: int = 0, walking: bool = False) -> None:
-        """Give robot `row` a track; see `StepCursor.follow`."""
-        self.cursor.follow(row, track, wait_ticks=wait_ticks, walking=walking)
+    def follow(
+        self, row: int, sequence: StepSequence, *, wait_ticks: int = 0, walking: bool = False
+    ) -> None:
+        """Give robot `row` a sequence; see `StepCursor.follow`."""
+        self.cursor.follow(row, sequence, wait_ticks=wait_ticks, walking=walking)
 
     def observe(self) -> np.ndarray:
         """The policy's observation of every robot (B, N), before scaling."""
@@ -71,7 +73,7 @@ class Walker:
             True (B,) where a step's period has just ended, as from `StepCursor.advance`.
         """
         blend = 0.5 * (action + self.action)
-        late = self.late_ticks[:, None]
+        late = self.latency_ticks[:, None]
         self.sim.step(self.robot.half_sitting_rad + (1 - late) * blend + late * self._sent)
         self._sent = blend
         self.action = action.copy()

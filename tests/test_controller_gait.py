@@ -1,4 +1,4 @@
-"""Gait clock, tracks and the step cursor: hand-worked numbers and laws."""
+"""Gait clock, step sequences and the step cursor: hand-worked numbers and laws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller.gait import GaitTicks, clock, steps_s, support_indicator
-from controller.step_cursor import STANCE, StepCursor, Track
+from controller.step_cursor import STANCE, StepCursor, StepSequence
 from planner.plan import FootstepPlan
 from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
@@ -21,10 +21,10 @@ def one(value, kind=int):
     return np.array([value], dtype=kind)
 
 
-def track(sides: list[Side]) -> Track:
+def sequence(sides: list[Side]) -> StepSequence:
     """Steps that each go 0.2 m on; the x of a step is 0.2 times its number, from 1."""
     poses = np.array([[0.2 * (k + 1), 0.1 * s.outward, 0, 0] for k, s in enumerate(sides)])
-    return Track.of(FEET, np.array(sides, dtype=int), poses.reshape(-1, 4))
+    return StepSequence.of(FEET, np.array(sides, dtype=int), poses.reshape(-1, 4))
 
 
 def test_durations_of_every_robot_are_whole_ticks():
@@ -73,7 +73,7 @@ def test_indicator_over_a_step_of_the_right_foot():
 
 
 def test_track_puts_the_stance_in_front_in_the_order_of_the_steps():
-    path = track([Side.RIGHT, Side.LEFT])
+    path = sequence([Side.RIGHT, Side.LEFT])
     assert path.side.tolist() == [Side.RIGHT, Side.LEFT, Side.RIGHT, Side.LEFT]
     assert path.pose_world[0].tolist() == FEET[1].tolist()
     assert path.pose_world[1].tolist() == FEET[0].tolist()
@@ -81,7 +81,7 @@ def test_track_puts_the_stance_in_front_in_the_order_of_the_steps():
 
 def test_track_refuses_steps_that_do_not_alternate():
     with pytest.raises(ValueError, match="alternate"):
-        Track.of(FEET, np.array([0, 0]), np.zeros((2, 4)))
+        StepSequence.of(FEET, np.array([0, 0]), np.zeros((2, 4)))
 
 
 def walk_through(cursor: StepCursor, ticks: int):
@@ -103,7 +103,7 @@ def walk_through(cursor: StepCursor, ticks: int):
 
 def test_cursor_waits_shifts_weight_walks_and_stands():
     cursor = StepCursor(TICKS, 1, 4)
-    cursor.follow(0, track([Side.RIGHT, Side.LEFT, Side.RIGHT]), wait_ticks=5)
+    cursor.follow(0, sequence([Side.RIGHT, Side.LEFT, Side.RIGHT]), wait_ticks=5)
     rows = walk_through(cursor, 6 + 14 + 3 * 44 + 10)
     # Five ticks of waiting and the one in which the wait runs out.
     assert [row[2] for row in rows[:6]] == [True] * 6
@@ -124,7 +124,7 @@ def test_cursor_waits_shifts_weight_walks_and_stands():
 def test_steps_take_as_long_as_the_track_says():
     """0.7 s are 28 ticks, 19 of them swing; 1.4 s are 56, 38 of them."""
     cursor = StepCursor(TICKS, 2, 2)
-    paced = replace(track([Side.LEFT, Side.RIGHT, Side.LEFT]), step_s=np.array([0.7, 1.4, 1.1]))
+    paced = replace(sequence([Side.LEFT, Side.RIGHT, Side.LEFT]), step_s=np.array([0.7, 1.4, 1.1]))
     cursor.follow(1, paced, walking=True)
     assert cursor.step_s[1] == pytest.approx([0.7, 1.4])
     assert cursor.step_s[0] == pytest.approx([1.1, 1.1])  # stands: its gait's own
@@ -144,7 +144,7 @@ def test_steps_take_as_long_as_the_track_says():
 
 def test_the_weight_shift_is_as_quick_as_the_first_step():
     cursor = StepCursor(TICKS, 1, 2)
-    cursor.follow(0, replace(track([Side.LEFT]), step_s=np.array([0.7])))
+    cursor.follow(0, replace(sequence([Side.LEFT]), step_s=np.array([0.7])))
     ticks = 0
     while not cursor.swinging[0]:
         cursor.advance()
@@ -154,7 +154,7 @@ def test_the_weight_shift_is_as_quick_as_the_first_step():
 
 def test_cursor_says_when_a_step_ends_once_per_step():
     cursor = StepCursor(TICKS, 1, 4)
-    cursor.follow(0, track([Side.LEFT, Side.RIGHT]), walking=True)
+    cursor.follow(0, sequence([Side.LEFT, Side.RIGHT]), walking=True)
     ended = [bool(cursor.advance()[0]) for _ in range(100)]
     assert np.flatnonzero(ended).tolist() == [43, 87]
     assert bool(cursor.arrived[0])
@@ -162,7 +162,7 @@ def test_cursor_says_when_a_step_ends_once_per_step():
 
 def test_weight_shift_before_the_first_step_does_not_count_as_a_step():
     cursor = StepCursor(TICKS, 1, 4)
-    cursor.follow(0, track([Side.RIGHT, Side.LEFT]), wait_ticks=3)
+    cursor.follow(0, sequence([Side.RIGHT, Side.LEFT]), wait_ticks=3)
     ended = [bool(cursor.advance()[0]) for _ in range(120)]
     # 4 ticks until the weight shift begins, 14 of it, then 44 a step.
     assert np.flatnonzero(ended).tolist() == [4 + 14 + 44 - 1, 4 + 14 + 88 - 1]
@@ -170,8 +170,8 @@ def test_weight_shift_before_the_first_step_does_not_count_as_a_step():
 
 def test_side_of_the_step_and_phase_of_the_gait_agree_all_along():
     cursor = StepCursor(TICKS, 2, 4)
-    cursor.follow(0, track([Side.RIGHT, Side.LEFT, Side.RIGHT]))
-    cursor.follow(1, track([Side.LEFT, Side.RIGHT]), walking=True)
+    cursor.follow(0, sequence([Side.RIGHT, Side.LEFT, Side.RIGHT]))
+    cursor.follow(1, sequence([Side.LEFT, Side.RIGHT]), walking=True)
     looked_at = 0
     for _ in range(200):
         swinging = cursor.swinging
@@ -188,7 +188,7 @@ def test_side_of_the_step_and_phase_of_the_gait_agree_all_along():
 
 def test_robot_without_steps_stands_where_it_is():
     cursor = StepCursor(TICKS, 1, 4)
-    cursor.follow(0, track([]))
+    cursor.follow(0, sequence([]))
     for _ in range(100):
         assert not cursor.advance()[0]
     assert bool(cursor.arrived[0])
@@ -198,7 +198,7 @@ def test_robot_without_steps_stands_where_it_is():
 def test_track_longer_than_the_first_capacity_is_taken_whole():
     sides = [Side(k % 2) for k in range(40)]
     cursor = StepCursor(TICKS, 1, 4)
-    cursor.follow(0, track(sides), walking=True)
+    cursor.follow(0, sequence(sides), walking=True)
     for _ in range(39 * 44):
         cursor.advance()
     assert cursor.window[0, :, 0] == pytest.approx([8.0, 7.8])

@@ -16,8 +16,8 @@ from controller.observation import (
     roll_pitch_rad,
     steps_in_heading_frame,
 )
-from controller.step_cursor import STANCE, Track
-from controller.step_sequences import draw_track
+from controller.step_cursor import STANCE, StepSequence
+from controller.step_sequences import draw_sequence
 from controller.walker import Walker
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
@@ -68,9 +68,9 @@ def test_mirror_maps_are_their_own_inverse(name):
     assert sign * once[index] == pytest.approx(values)
 
 
-def mirrored_track(track: Track) -> Track:
-    pose = track.pose_world * np.array([1, -1, 1, -1])
-    return replace(track, side=1 - track.side, pose_world=pose)
+def mirrored_track(sequence: StepSequence) -> StepSequence:
+    pose = sequence.pose_world * np.array([1, -1, 1, -1])
+    return replace(sequence, side=1 - sequence.side, pose_world=pose)
 
 
 @pytest.mark.parametrize("name", robot_names())
@@ -87,10 +87,10 @@ def test_mirrored_robot_sees_the_mirrored_observation(name):
         qvel = rng.normal(size=scene.model.nv)
         walker.place(0, qpos, qvel)
         walker.place(1, mirrored_qpos(scene, qpos), mirrored_qvel(scene, qvel))
-        track = draw_track(rng, robot.step_model, start, mode=None, steps=6)
-        track = replace(track, step_s=rng.uniform(0.7, 1.4, len(track.side) - STANCE))
-        walker.follow(0, track)
-        walker.follow(1, mirrored_track(track))
+        sequence = draw_sequence(rng, robot.step_model, start, mode=None, steps=6)
+        sequence = replace(sequence, step_s=rng.uniform(0.7, 1.4, len(sequence.side) - STANCE))
+        walker.follow(0, sequence)
+        walker.follow(1, mirrored_track(sequence))
         for _ in range(17 * trial):
             walker.cursor.advance()
         seen = walker.observe()
@@ -112,13 +112,13 @@ def test_critic_sees_the_mirror_image_too(name, height_m, tolerance):
     qpos[2] += height_m
     qpos[3:7] = quaternion(0.05, 0.05, 0.1)
     qvel[:3] = [0.1, 0.2, 0.0]
-    track = draw_track(
+    sequence = draw_sequence(
         rng, robot.step_model, scene.soles_at(scene.standing_qpos), mode="curved", steps=5
     )
     task.walker.place(0, qpos, qvel)
     task.walker.place(1, mirrored_qpos(scene, qpos), mirrored_qvel(scene, qvel))
-    task.walker.follow(0, track, walking=True)
-    task.walker.follow(1, mirrored_track(track), walking=True)
+    task.walker.follow(0, sequence, walking=True)
+    task.walker.follow(1, mirrored_track(sequence), walking=True)
     joint_index, joint_sign = robot.mirror_joints
     action = 0.1 * rng.normal(size=len(robot.joints))
     seen = task.step(np.stack([action, joint_sign * action[joint_index]])).critic_observation

@@ -16,7 +16,7 @@ from controller.policy import Policy, PolicyError, fitting, load_policy, save_po
 from controller.ppo import PpoConfig, TrainConfig
 from controller.runner import Trainer
 from controller.step_cursor import STANCE
-from controller.step_sequences import MAX_STEPS, MODES, PlannedSteps, draw_track
+from controller.step_sequences import MAX_STEPS, MODES, PlannedSteps, draw_sequence
 from maps.grid import OccupancyGrid
 from planner.corpus.corpus import corpus_of
 from planner.options import PlannerOptions
@@ -53,11 +53,11 @@ def test_drawn_steps_alternate_and_keep_the_limits(name, mode):
     feet = np.array([[0.3, 0.1, 0, 0.5], [0.4, -0.1, 0, 0.5]])
     steps = 0
     for _ in range(40):
-        track = draw_track(rng, model, feet, mode=mode, steps=MAX_STEPS)
-        for k in range(2, len(track.side)):
-            support, swing = track.pose_world[k - 1], track.pose_world[k]
-            assert track.side[k] != track.side[k - 1]
-            relative = relative_step(support, swing, Side(int(track.side[k])))
+        sequence = draw_sequence(rng, model, feet, mode=mode, steps=MAX_STEPS)
+        for k in range(2, len(sequence.side)):
+            support, swing = sequence.pose_world[k - 1], sequence.pose_world[k]
+            assert sequence.side[k] != sequence.side[k - 1]
+            relative = relative_step(support, swing, Side(int(sequence.side[k])))
             assert model.limits.contain(relative, tolerance=1e-6), relative
             steps += 1
     assert steps > 100
@@ -78,8 +78,8 @@ def test_what_is_planned_lies_within_what_is_trained(name):
 def test_standing_mode_has_no_steps():
     robot = get_robot("jvrc1")
     feet = np.array([[0.0, 0.1, 0, 0], [0.0, -0.1, 0, 0]])
-    track = draw_track(np.random.default_rng(0), robot.step_model, feet, mode="standing")
-    assert len(track.side) == 2
+    sequence = draw_sequence(np.random.default_rng(0), robot.step_model, feet, mode="standing")
+    assert len(sequence.side) == 2
 
 
 def test_same_seed_same_episodes_whatever_the_threads():
@@ -230,7 +230,7 @@ def test_run_cut_off_and_resumed_gives_the_policy_of_the_whole_run(tmp_path):
     assert len(whole.history) == len(resumed.history) == 2
     # The first segment was on flat ground, the second on the first stairs, in both runs alike.
     assert [line["rise_m"] for line in resumed.history] == [0.0, 0.05]
-    assert resumed.stage == whole.stage == Stage(rise_m=0.10, hardness=1.0)
+    assert resumed.stage == whole.stage == Stage(rise_m=0.10, disturbance_level=1.0)
     assert resumed.best_score == whole.best_score
 
 
@@ -270,8 +270,8 @@ def test_planned_steps_are_pieces_of_plans_with_either_foot_first():
     feet = feet_at((0.0, 0.0, 0.0), model.stance_width_m)
     rng, firsts = np.random.default_rng(0), set()
     for _ in range(20):
-        track = planned.draw(rng, feet, steps=4)
-        side, pose = track.side[STANCE:], track.pose_world[STANCE:]
+        sequence = planned.draw(rng, feet, steps=4)
+        side, pose = sequence.side[STANCE:], sequence.pose_world[STANCE:]
         firsts.add(int(side[0]))
         support = np.concatenate([[feet[1 - side[0]]], pose[:-1]])
         steps = [

@@ -16,21 +16,23 @@ def after(curriculum, stage, flat=1.0, stairs=1.0, updates=0):
 
 
 def test_run_begins_on_flat_ground_without_disturbances():
-    assert {c.first() for c in (MEASURED, PAPER, FLAT)} == {Stage(rise_m=0.0, hardness=0.0)}
+    assert {c.first() for c in (MEASURED, PAPER, FLAT)} == {
+        Stage(rise_m=0.0, disturbance_level=0.0)
+    }
 
 
 def test_stairs_come_with_success_on_flat_ground_alone():
     assert after(MEASURED, Stage(), flat=0.94) == Stage()
     first = after(MEASURED, Stage(), flat=0.95, stairs=0.0)
-    assert (first.rise_m, first.hardness) == pytest.approx((0.015, 0.1))
+    assert (first.rise_m, first.disturbance_level) == pytest.approx((0.015, 0.1))
 
 
 def test_rise_grows_only_while_flat_and_stairs_both_succeed():
-    stage = Stage(rise_m=0.03, hardness=0.2)
+    stage = Stage(rise_m=0.03, disturbance_level=0.2)
     assert after(MEASURED, stage, flat=0.94, stairs=1.0) == stage
     assert after(MEASURED, stage, flat=1.0, stairs=0.89) == stage
     grown = after(MEASURED, stage, flat=0.95, stairs=0.90)
-    assert (grown.rise_m, grown.hardness) == pytest.approx((0.045, 0.3))
+    assert (grown.rise_m, grown.disturbance_level) == pytest.approx((0.045, 0.3))
 
 
 def test_rise_stops_at_the_top():
@@ -40,7 +42,7 @@ def test_rise_stops_at_the_top():
         stage = after(curriculum, stage)
         rises.append(stage.rise_m)
     assert rises == pytest.approx([0.015, 0.03, 0.04, 0.04])
-    assert stage.hardness == 1.0
+    assert stage.disturbance_level == 1.0
 
 
 @pytest.mark.parametrize(
@@ -51,12 +53,12 @@ def test_papers_schedule_is_flat_for_3000_updates_then_linear_over_8000(updates,
     """It asks for no success."""
     stage = after(PAPER, Stage(), flat=0.0, stairs=0.0, updates=updates)
     assert stage.rise_m == pytest.approx(rise_m)
-    assert stage.hardness == pytest.approx(rise_m / 0.10)
+    assert stage.disturbance_level == pytest.approx(rise_m / 0.10)
 
 
 def test_flat_runs_get_the_disturbances_once_they_walk():
     assert after(FLAT, Stage(), flat=0.9) == Stage()
-    assert after(FLAT, Stage(), flat=0.96) == Stage(rise_m=0.0, hardness=1.0)
+    assert after(FLAT, Stage(), flat=0.96) == Stage(rise_m=0.0, disturbance_level=1.0)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from app.commands.evaluate import SECTION_NAMES, EvaluateOptions
 from app.evaluation import sections as evaluate_limits
 from app.evaluation import sections as evaluate_modes
 from app.evaluation.figures import FIGURES, write_figures
-from app.evaluation.parts import Bench, finite
+from app.evaluation.parts import EvaluationSetup, finite
 from app.evaluation.report_text import plain_joint, read_beside, report, table
 from app.evaluation.sections import SECTIONS, measured_of, mode_row, sole_errors_m
 from controller.assessment import ModeResult
@@ -73,8 +73,8 @@ def measured_results():
     }
 
 
-def bench(episodes: int = 100) -> Bench:
-    return Bench(robot=ROBOT, policy=load_policy(ROBOT), episodes=episodes, seed=1)
+def bench(episodes: int = 100) -> EvaluationSetup:
+    return EvaluationSetup(robot=ROBOT, policy=load_policy(ROBOT), episodes=episodes, seed=1)
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from app.options import find_follower
+from app.options import find_robot_with_limits
 from controller.evaluation import step_limits as step_region
 from controller.evaluation.step_limits import (
     Reach,
@@ -63,7 +63,7 @@ def test_measured_limits_and_margins_are_what_planning_uses(policy_path):
     written = measured(policy_path)
     measured_path(policy_path, ROBOT).write_text(to_text(written))
     assert load_measured(ROBOT, policy_path) == written
-    model = find_follower("jvrc1", policy_path).step_model
+    model = find_robot_with_limits("jvrc1", policy_path).step_model
     assert model.limits == NARROW
     assert (model.foot_margin_m, model.body_margin_m) == (0.017, 0.093)
     dropped = set(ROBOT.step_model.steps) - set(model.steps)
@@ -71,7 +71,9 @@ def test_measured_limits_and_margins_are_what_planning_uses(policy_path):
     assert (0.2, 0.20, 0.0) in model.steps
     assert all(NARROW.contain(step) for step in model.steps)
     # Training goes on with the limits of the robot's file.
-    assert find_follower("jvrc1", policy_path).training_model.limits == ROBOT.training_limits
+    assert (
+        find_robot_with_limits("jvrc1", policy_path).training_model.limits == ROBOT.training_limits
+    )
 
 
 def test_without_measurements_or_with_those_of_other_weights_the_robot_stays_as_it_is(policy_path):

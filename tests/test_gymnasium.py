@@ -126,7 +126,7 @@ def test_landings_are_told_with_their_errors_where_there_are_any():
     assert 4 <= landings <= 8
 
 
-@pytest.mark.parametrize("stage", [None, Stage(rise_m=0.1, hardness=1.0)])
+@pytest.mark.parametrize("stage", [None, Stage(rise_m=0.1, disturbance_level=1.0)])
 @pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
 def test_same_seed_same_episodes_and_another_seed_others(make, stage):
     first, second = make(JVRC1, stage=stage), make(JVRC1, stage=stage)

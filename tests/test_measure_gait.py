@@ -23,7 +23,7 @@ from controller.evaluation.gait_metrics import (
 )
 from controller.evaluation.push_recovery import DIRECTIONS, Push
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
-from controller.step_cursor import StepCursor, Track
+from controller.step_cursor import StepCursor, StepSequence
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene
@@ -192,7 +192,7 @@ def test_stances_before_and_after_each_step_and_next():
     cursor = StepCursor(ticks, 1, 4)
     poses = np.zeros((5, 4))
     poses[:, 0] = range(5)
-    cursor.follow(0, Track(side=np.array([0, 1, 0, 1, 0]), pose_world=poses))
+    cursor.follow(0, StepSequence(side=np.array([0, 1, 0, 1, 0]), pose_world=poses))
     seen = []
     while not cursor.arrived[0]:
         seen.append(cursor.stances[0, :, :, 0].astype(int).tolist())

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.commands.trials import Course, draw_trials, summarise, table, walk_one
+from app.commands.trials import TrialSettings, draw_trials, summarise, table, walk_one
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.report import Outcome
 from controller.policy import Policy, load_policy
@@ -155,8 +155,8 @@ def test_time_runs_out():
 
 
 @pytest.fixture(scope="module")
-def course() -> Course:
-    return Course(grid=empty_map(4.0), robot="jvrc1", policy=None, unknown_is_free=False)
+def course() -> TrialSettings:
+    return TrialSettings(grid=empty_map(4.0), robot="jvrc1", policy=None, unknown_is_free=False)
 
 
 def test_trials_are_drawn_apart_and_repeat(course):

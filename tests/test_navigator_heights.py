@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from app.commands.trials import Course, draw_trials
+from app.commands.trials import TrialSettings, draw_trials
 from app.navigation.navigator import Navigator, Placed
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
@@ -159,7 +159,7 @@ def test_a_robot_that_stops_keeps_to_the_height_of_its_tread():
 
 
 def test_trials_are_drawn_on_level_ground_only():
-    course = Course(grid=STAIRS, robot="jvrc1", policy=None, unknown_is_free=False)
+    course = TrialSettings(grid=STAIRS, robot="jvrc1", policy=None, unknown_is_free=False)
     trials = draw_trials(course, 30, 5.0, 0)
     poses = [pose for trial in trials for pose in (trial.start, trial.goal)]
     footing = Footing(STAIRS, ROBOT.step_model, False)

@@ -215,10 +215,10 @@ def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
         "[...document.querySelectorAll('input')].some(input => parseFloat(input.value) > 0.5)"
     )
     # The slider: a click near its end goes there, and the walk waits.
-    track = visit.page.locator(".mantine-Slider-trackContainer").first
+    sequence = visit.page.locator(".mantine-Slider-trackContainer").first
     for _ in range(CLICKS):
         # A browser that is short of time may still be laying the panel out: then the click misses.
-        box = track.bounding_box()
+        box = sequence.bounding_box()
         assert box is not None
         visit.page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + box["height"] / 2)
         with contextlib.suppress(PlaywrightTimeout):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import shapely
 
-from controller.step_sequences import MODES, draw_track, kept_within
+from controller.step_sequences import MODES, draw_sequence, kept_within
 from controller.tracking_limits import Measured, limits_from, planning_model
 from planner.corpus.check import from_document
 from planner.options import PlannerOptions
@@ -239,7 +239,7 @@ def test_steps_drawn_for_training_stay_within_the_polygon():
     for mode in MODES:
         for seed in range(10):
             tracks = [
-                draw_track(np.random.default_rng(seed), of, feet, mode=mode)
+                draw_sequence(np.random.default_rng(seed), of, feet, mode=mode)
                 for of in (model, small_model())
             ]
             steps, without = (steps_of_track(track) for track in tracks)

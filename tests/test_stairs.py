@@ -68,10 +68,10 @@ def blocks(ground) -> list[tuple[float, Polygon]]:
 @pytest.mark.parametrize("name", robot_names())
 def test_every_foot_stands_wholly_on_ground_of_its_own_height(name, mode):
     foot, feet = get_robot(name).step_model.foot, 0
-    for track, ground in flights(name, mode):
+    for sequence, ground in flights(name, mode):
         assert len(ground.treads) <= TREADS
         assert len(ground.landings) <= LANDINGS
-        for pose in track.pose_world:
+        for pose in sequence.pose_world:
             sole = box(pose, foot.length_m, foot.width_m)
             own = unary_union([b for z, b in blocks(ground) if abs(z - pose[2]) < 1e-9])
             higher = unary_union([b for z, b in blocks(ground) if z > pose[2] + 1e-9])
@@ -86,22 +86,24 @@ def test_every_foot_stands_wholly_on_ground_of_its_own_height(name, mode):
 @pytest.mark.parametrize("name", robot_names())
 def test_every_step_keeps_the_limits_and_rises_as_asked(name, mode):
     limits = get_robot(name).training_model.limits
-    for track, _ in flights(name, mode):
-        assert np.all(track.side[1:] != track.side[:-1])
-        for k in range(STANCE, len(track.side)):
-            support, swing = track.pose_world[k - 1], track.pose_world[k]
-            relative = relative_step(support, swing, Side(int(track.side[k])))
+    for sequence, _ in flights(name, mode):
+        assert np.all(sequence.side[1:] != sequence.side[:-1])
+        for k in range(STANCE, len(sequence.side)):
+            support, swing = sequence.pose_world[k - 1], sequence.pose_world[k]
+            relative = relative_step(support, swing, Side(int(sequence.side[k])))
             assert limits.contain(relative, tolerance=1e-6), relative
-        change = np.diff(track.pose_world[STANCE - 1 :, 2]) / RISE_M
+        change = np.diff(sequence.pose_world[STANCE - 1 :, 2]) / RISE_M
         assert change == pytest.approx(np.round(change), abs=1e-9)
         assert np.abs(change).max() == pytest.approx(1)
         # The last step brings the feet side by side, on one place.
-        assert track.pose_world[-1, 2] == track.pose_world[-2, 2]
+        assert sequence.pose_world[-1, 2] == sequence.pose_world[-2, 2]
 
 
 def test_each_kind_goes_where_its_name_says():
     def changes(mode):
-        return [np.diff(track.pose_world[STANCE - 1 :, 2]) for track, _ in flights("jvrc1", mode)]
+        return [
+            np.diff(sequence.pose_world[STANCE - 1 :, 2]) for sequence, _ in flights("jvrc1", mode)
+        ]
 
     assert all((c >= 0).all() for c in changes("stairs_up"))
     assert all((c <= 0).all() for c in changes("stairs_down"))
@@ -113,19 +115,21 @@ def test_each_kind_goes_where_its_name_says():
     curved = changes("stairs_curved")
     assert any((c > 0).any() for c in curved)
     assert any((c < 0).any() for c in curved)
-    ends = [track.pose_world[-1, 3] - START[2] for track, _ in flights("jvrc1", "stairs_curved")]
+    ends = [
+        sequence.pose_world[-1, 3] - START[2] for sequence, _ in flights("jvrc1", "stairs_curved")
+    ]
     assert min(ends) < -0.2
     assert max(ends) > 0.2
     for mode in STRAIGHT[:3]:
-        for track, _ in flights("jvrc1", mode):
-            assert np.ptp(track.pose_world[STANCE:, 3]) < 1e-9
+        for sequence, _ in flights("jvrc1", mode):
+            assert np.ptp(sequence.pose_world[STANCE:, 3]) < 1e-9
 
 
 def test_flights_are_walked_with_one_foot_and_with_both_on_each_tread():
     """Never two rises in a row with both feet, always but for level places with one."""
     both, single = 0, 0
-    for track, _ in flights("jvrc1", "stairs_up"):
-        rises = np.diff(track.pose_world[STANCE - 1 :, 2]) > 0
+    for sequence, _ in flights("jvrc1", "stairs_up"):
+        rises = np.diff(sequence.pose_world[STANCE - 1 :, 2]) > 0
         in_a_row = (rises[1:] & rises[:-1]).any()
         single += in_a_row
         both += not in_a_row and rises.sum() > 1
@@ -137,8 +141,8 @@ def test_wide_stances_still_turn_on_curved_flights():
     """The turn gives way to the stance, but not the curve to the straight."""
     for name in {"jvrc1", "hrp5p", "h1"} & set(robot_names()):
         turns = [
-            np.abs(np.diff(track.pose_world[STANCE:, 3])).max()
-            for track, _ in flights(name, "stairs_curved")
+            np.abs(np.diff(sequence.pose_world[STANCE:, 3])).max()
+            for sequence, _ in flights(name, "stairs_curved")
         ]
         assert np.mean(np.array(turns) > 0.025) > 0.9, name
 
@@ -147,16 +151,16 @@ def test_treads_are_off_by_no_more_than_asked_and_apart_from_their_steps():
     """The steps are as without an error: what is off is the ground."""
     model, off = get_robot("jvrc1").training_model, []
     pairs = zip(flights("jvrc1", "stairs"), flights("jvrc1", "stairs", error_m=0.02), strict=True)
-    for (plain, level), (track, ground) in pairs:
-        assert np.array_equal(plain.pose_world, track.pose_world)
+    for (plain, level), (sequence, ground) in pairs:
+        assert np.array_equal(plain.pose_world, sequence.pose_world)
         assert np.array_equal(level.treads[:, [0, 1, 3]], ground.treads[:, [0, 1, 3]])
         off += [*(ground.treads - level.treads)[:, 2], *(ground.landings - level.landings)[:, 2]]
         # Feet that are side by side on the level stand on one slab.
-        for k in np.flatnonzero(np.diff(track.pose_world[:, 2]) == 0):
+        for k in np.flatnonzero(np.diff(sequence.pose_world[:, 2]) == 0):
             under = [
                 z
                 for z, b in blocks(ground)
-                for pose in track.pose_world[k : k + 2]
+                for pose in sequence.pose_world[k : k + 2]
                 if abs(z - pose[2]) < 0.0201
                 and b.contains(box(pose, model.foot.length_m, model.foot.width_m))
             ]
@@ -175,6 +179,6 @@ def test_treads_are_never_off_by_more_than_half_the_rise():
 
 def test_same_seed_same_flight():
     first, again = flights("jvrc1", "stairs"), flights.__wrapped__("jvrc1", "stairs")
-    for (track, ground), (other, same) in zip(first, again, strict=True):
-        assert np.array_equal(track.pose_world, other.pose_world)
+    for (sequence, ground), (other, same) in zip(first, again, strict=True):
+        assert np.array_equal(sequence.pose_world, other.pose_world)
         assert np.array_equal(ground.treads, same.treads)

@@ -31,7 +31,7 @@ from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import Measured, measured_path, to_text
 
 if TYPE_CHECKING:
-    from app.evaluation.parts import Bench, Kept, Part, Results
+    from app.evaluation.parts import EvaluationSetup, Part, ResultCache, Results
 
 SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
 
@@ -85,7 +85,7 @@ ENOUGH_EPISODES = 100
 
 def run(options: EvaluateOptions) -> int:
     """Carries the command out; returns the exit code."""
-    from app.evaluation.parts import Bench, Kept
+    from app.evaluation.parts import EvaluationSetup, ResultCache
     from app.evaluation.report_text import read_beside, report
     from app.evaluation.sections import SECTIONS, measured_of
 
@@ -94,7 +94,7 @@ def run(options: EvaluateOptions) -> int:
         policy = load_policy(robot, options.policy)
     beside = read_beside(options.beside, robot.name, FORMAT) if options.beside else None
     make_folder(options.out, option="--out")
-    bench = Bench(
+    bench = EvaluationSetup(
         robot=robot,
         policy=policy,
         episodes=options.episodes,
@@ -104,7 +104,7 @@ def run(options: EvaluateOptions) -> int:
     parts = [part for section in SECTIONS.values() for part in section(bench)]
     results: Results = {}
     try:
-        _measure(parts, options, Kept(options.out, bench), results)
+        _measure(parts, options, ResultCache(options.out, bench), results)
     except KeyboardInterrupt:
         _write(options, document_of(bench, parts, results, None))
         raise
@@ -121,7 +121,9 @@ def run(options: EvaluateOptions) -> int:
     return ExitCode.DONE
 
 
-def _measure(parts: Sequence[Part], options: EvaluateOptions, kept: Kept, results: Results) -> None:
+def _measure(
+    parts: Sequence[Part], options: EvaluateOptions, kept: ResultCache, results: Results
+) -> None:
     """Fill in the results of all parts that are wanted, or kept from a run of the same settings."""
     from app.evaluation.parts import finite
 
@@ -140,7 +142,9 @@ def _measure(parts: Sequence[Part], options: EvaluateOptions, kept: Kept, result
             done += part.robot_seconds
 
 
-def _store(options: EvaluateOptions, bench: Bench, measured: Measured | None) -> str | None:
+def _store(
+    options: EvaluateOptions, bench: EvaluationSetup, measured: Measured | None
+) -> str | None:
     """Put what planning is to know beside the weights; gives the file, or None if it is not put."""
     if measured is None or "limits" not in options.sections:
         return None
@@ -157,7 +161,7 @@ def _store(options: EvaluateOptions, bench: Bench, measured: Measured | None) ->
 
 
 def document_of(
-    bench: Bench, parts: Sequence[Part], results: Results, stored: str | None
+    bench: EvaluationSetup, parts: Sequence[Part], results: Results, stored: str | None
 ) -> dict[str, Any]:
     """evaluation.json: what is known of each section; of those not measured there is nothing."""
     from app.evaluation.sections import SECTIONS, measured_of

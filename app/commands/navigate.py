@@ -30,7 +30,7 @@ from app.options import (
     ReachOption,
     RobotName,
     choice,
-    find_follower,
+    find_robot_with_limits,
     read_grid,
     require_pace,
     whole_number,
@@ -154,7 +154,7 @@ def walk_and_report(options: NavigateOptions) -> int:
     """Carries the command out; returns the exit code."""
     started = time.perf_counter()
     _require_reachable(options)
-    grid, robot = read_grid(options), find_follower(options.robot, options.policy)
+    grid, robot = read_grid(options), find_robot_with_limits(options.robot, options.policy)
     policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
     with as_bad_input(PolicyError):
         policy = load_policy(robot, policy_path)

@@ -19,7 +19,7 @@ from app.options import (
     Reach,
     ReachOption,
     RobotName,
-    find_follower,
+    find_robot_with_limits,
     number,
     read_grid,
     whole_number,
@@ -106,7 +106,7 @@ def run(options: PlanOptions) -> int:
     """Carries the command out; returns the exit code."""
     _check_outputs(options)
     search = _search(options)
-    robot = find_follower(options.robot, options.policy)
+    robot = find_robot_with_limits(options.robot, options.policy)
     grid = read_grid(options)
 
     # Here and not above: the compiled search takes a second to load, bad input need not wait.

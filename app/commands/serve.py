@@ -14,7 +14,7 @@ from app.options import (
     Pose,
     PoseOption,
     RobotName,
-    find_follower,
+    find_robot_with_limits,
     read_grid,
     text,
     whole_number,
@@ -78,7 +78,7 @@ def run(options: ServeOptions) -> int:
     def load(name: str) -> tuple[Robot, Policy]:
         if options.policy is None or name != options.robot:
             return load_robot(name)
-        robot = find_follower(name, options.policy)
+        robot = find_robot_with_limits(name, options.policy)
         with as_bad_input(PolicyError):
             return robot, load_policy(robot, options.policy)
 

@@ -20,7 +20,7 @@ from app.options import (
     PlannerName,
     RobotName,
     choice,
-    find_follower,
+    find_robot_with_limits,
     number,
     read_grid,
     require_pace,
@@ -101,7 +101,7 @@ class Trial:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Course:
+class TrialSettings:
     """What all trials of a run have in common."""
 
     grid: OccupancyGrid
@@ -115,11 +115,11 @@ class Course:
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
-    grid, robot = read_grid(options), find_follower(options.robot, options.policy)
+    grid, robot = read_grid(options), find_robot_with_limits(options.robot, options.policy)
     with as_bad_input(PolicyError):
         require_pace(load_policy(robot, options.policy), robot, options.pace)
     make_folder(options.out, option="--out")
-    course = Course(
+    course = TrialSettings(
         grid=grid,
         robot=robot.name,
         policy=options.policy,
@@ -148,7 +148,7 @@ def run(options: TrialsOptions) -> int:
     return ExitCode.DONE
 
 
-def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[Trial]:
+def draw_trials(course: TrialSettings, count: int, apart_m: float, seed: int) -> list[Trial]:
     """Pairs of free poses, uniform over the map's area and all headings.
 
     Raises:
@@ -158,7 +158,7 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
     from planner.endpoints import what_blocks
 
     rng = np.random.default_rng(seed)
-    model = find_follower(course.robot, course.policy).step_model
+    model = find_robot_with_limits(course.robot, course.policy).step_model
     terrain = terrain_of(course.grid, course.unknown_is_free)
     x0, y0, x1, y1 = course.grid.bounds_world()
 
@@ -183,11 +183,11 @@ def draw_trials(course: Course, count: int, apart_m: float, seed: int) -> list[T
     return trials
 
 
-def walk_one(course: Course, trial: Trial) -> dict[str, Any]:
+def walk_one(course: TrialSettings, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
     from app.navigation.navigator import Navigator, NavigatorConfig
 
-    robot = find_follower(course.robot, course.policy)
+    robot = find_robot_with_limits(course.robot, course.policy)
     navigator = Navigator(
         course.grid,
         robot,
@@ -265,7 +265,7 @@ def _percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float] | Non
     return {"median": float(median), "p95": float(p95), "max": float(np.max(values))}
 
 
-def _search(course: Course, trial: Trial) -> PlannerOptions:
+def _search(course: TrialSettings, trial: Trial) -> PlannerOptions:
     return PlannerOptions(
         name=course.planner,
         refine=course.refine,

@@ -25,7 +25,7 @@ Results = dict[str, dict[str, Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench:
+class EvaluationSetup:
     """Who is measured, and how much. The results do not depend on `threads`."""
 
     robot: Robot
@@ -63,10 +63,10 @@ class Part:
     measure: Callable[[Results], dict[str, Any]]
 
 
-class Kept:
+class ResultCache:
     """The results in a folder, one file a part."""
 
-    def __init__(self, folder: Path, bench: Bench):
+    def __init__(self, folder: Path, bench: EvaluationSetup):
         self._folder = folder / "parts"
         self._settings = bench.settings
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from app.evaluation.parts import Bench, Part, Results
+from app.evaluation.parts import EvaluationSetup, Part, Results
 from controller.assessment import ModeResult, assess_mode, at_navigation_rate
 from controller.evaluation.gait_metrics import (
     Step,
@@ -41,8 +41,8 @@ from controller.evaluation.step_limits import (
     walk_within,
 )
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
-from controller.step_cursor import Track
-from controller.step_sequences import MODES, draw_track, kept_within
+from controller.step_cursor import StepSequence
+from controller.step_sequences import MODES, draw_sequence, kept_within
 from controller.tracking_limits import Measured, limits_from, planning_model
 from maps.grid import OccupancyGrid
 from planner.lattice.steps import allowed
@@ -58,7 +58,7 @@ TREAD_NOISE_M = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 JOINT_NOISE_DEG = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
 
-def modes_parts(bench: Bench) -> list[Part]:
+def modes_parts(bench: EvaluationSetup) -> list[Part]:
     """Falls and foot errors of every flat mode."""
 
     def measure(results: Results, mode: str | None) -> dict[str, Any]:
@@ -75,7 +75,9 @@ def modes_parts(bench: Bench) -> list[Part]:
     ]
 
 
-def _assess(bench: Bench, mode: str | None, episodes: int, **settings: float) -> ModeResult:
+def _assess(
+    bench: EvaluationSetup, mode: str | None, episodes: int, **settings: float
+) -> ModeResult:
     """Episodes of one mode, in portions that fit the memory."""
     return ModeResult.joined(
         [
@@ -113,7 +115,7 @@ def mode_row(result: ModeResult) -> dict[str, Any]:
     return row
 
 
-def stairs_parts(bench: Bench) -> list[Part]:
+def stairs_parts(bench: EvaluationSetup) -> list[Part]:
     """Stairs up and down: without noise, then with noise on treads and on joints."""
     few = bench.share(5)
     cases: list[tuple[float, str, float, int]] = []
@@ -150,16 +152,16 @@ def stairs_parts(bench: Bench) -> list[Part]:
     ]
 
 
-def long_parts(bench: Bench) -> list[Part]:
+def long_parts(bench: EvaluationSetup) -> list[Part]:
     """A minute of walking in all flat modes, changing from one to the next."""
     count = bench.share(4)
     steps = int(LONG_WALK_S / bench.robot.gait.step_s) + 2
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Any:
         while True:
-            track = draw_track(rng, bench.robot.training_model, feet, steps=steps)
-            if len(track.side) > steps:  # not one of those that only stand
-                return track
+            sequence = draw_sequence(rng, bench.robot.training_model, feet, steps=steps)
+            if len(sequence.side) > steps:  # not one of those that only stand
+                return sequence
 
     def measure(results: Results) -> dict[str, Any]:
         survived: list[int] = []
@@ -193,7 +195,7 @@ CYCLE_BINS = 110
 PUSH_SPEEDS_M_S = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
 
 
-def gait_parts(bench: Bench) -> list[Part]:
+def gait_parts(bench: EvaluationSetup) -> list[Part]:
     """Loads of the joints, ground forces and contact in a straight walk with the longest step."""
     model, robot = bench.robot.step_model, bench.robot
     step = (model.limits.most_x_m(model.stance_width_m), model.stance_width_m, 0.0)
@@ -232,7 +234,7 @@ def gait_parts(bench: Bench) -> list[Part]:
     return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
 
 
-def _recorded(bench: Bench, step: Step, count: int) -> WalkRecord:
+def _recorded(bench: EvaluationSetup, step: Step, count: int) -> WalkRecord:
     """Walks of one step, as `record_walk` records them."""
     return record_walk(
         bench.robot,
@@ -245,7 +247,7 @@ def _recorded(bench: Bench, step: Step, count: int) -> WalkRecord:
     )
 
 
-def energy_parts(bench: Bench) -> list[Part]:
+def energy_parts(bench: EvaluationSetup) -> list[Part]:
     """Cost of transport and speed of walks forward, backward and sideways."""
     count = min(RECORDED // 2, 2 * bench.episodes)
 
@@ -276,7 +278,7 @@ def energy_parts(bench: Bench) -> list[Part]:
     ]
 
 
-def _walks_to_weigh(bench: Bench) -> list[tuple[str, Step]]:
+def _walks_to_weigh(bench: EvaluationSetup) -> list[tuple[str, Step]]:
     """Kinds of walk and their steps, within the limits that the robot's file states."""
     model = bench.robot.step_model
     limits, width_m = model.limits, model.stance_width_m
@@ -287,7 +289,7 @@ def _walks_to_weigh(bench: Bench) -> list[tuple[str, Step]]:
     return [*forward, *backward, ("sideways", (0.0, float(widest[1]), 0.0))]
 
 
-def push_parts(bench: Bench) -> list[Part]:
+def push_parts(bench: EvaluationSetup) -> list[Part]:
     """Success against impulse, a part for each direction."""
     mass_kg, count = bench.robot.mass_kg, bench.share(10)
     impulses_ns = [round(mass_kg * speed, 1) for speed in PUSH_SPEEDS_M_S]
@@ -334,7 +336,7 @@ FLOOR_HALF_M = 4.0
 GOAL_WITHIN_M = 1.5
 
 
-def limits_parts(bench: Bench) -> list[Part]:
+def limits_parts(bench: EvaluationSetup) -> list[Part]:
     """A map of all kinds of steps, limits within which all succeed, and margins within those."""
     robot = bench.robot
     trained = replace(robot.step_model, limits=robot.training_model.limits)
@@ -391,7 +393,7 @@ def limits_parts(bench: Bench) -> list[Part]:
     ]
 
 
-def _walk_within(bench: Bench, limits: StepLimits) -> tuple[StepWalks, Trial]:
+def _walk_within(bench: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, Trial]:
     stated = bench.robot.step_model
     steps = tuple(step for step in stated.steps if limits.contain(step))
     model = replace(stated, limits=limits, steps=steps)
@@ -417,7 +419,9 @@ def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
     return np.asarray(walks.error_m + corner_m * walks.heading_error_rad)
 
 
-def _sway_m(bench: Bench, limits: StepLimits, count: int) -> list[tuple[str, float, float]]:
+def _sway_m(
+    bench: EvaluationSetup, limits: StepLimits, count: int
+) -> list[tuple[str, float, float]]:
     """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
     from planner.planner import Planner  # the compiled search takes a second to load
 
@@ -437,11 +441,11 @@ def _sway_m(bench: Bench, limits: StepLimits, count: int) -> list[tuple[str, flo
         PlannerOptions(refine=False),
     )
 
-    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         far = GOAL_WITHIN_M
         goal = rng.uniform((-far, -far, -math.pi), (far, far, math.pi))
         plan = planner.plan(goal=goal.tolist(), start_feet_world=feet, first_side=None)
-        return Track.of(feet, plan.side.astype(np.int64), plan.pose_world)
+        return StepSequence.of(feet, plan.side.astype(np.int64), plan.pose_world)
 
     walker = set_off(bench.robot, draw, count=count, seed=bench.seed, threads=bench.threads)
     reach = Reach(walker.scene, model.body)
@@ -458,7 +462,7 @@ def _sway_m(bench: Bench, limits: StepLimits, count: int) -> list[tuple[str, flo
     return [(reach.names[k], float(p99[k]), float(most[k])) for k in order]
 
 
-def measured_of(bench: Bench, results: Results) -> Measured | None:
+def measured_of(bench: EvaluationSetup, results: Results) -> Measured | None:
     """What planning is to know; None where it was not measured or the policy is not up to it."""
     needed = ("limits-region", "limits-sway")
     if any(name not in results for name in needed):
@@ -488,7 +492,9 @@ def measured_of(bench: Bench, results: Results) -> Measured | None:
     )
 
 
-def _climb_m(bench: Bench, results: Results) -> tuple[tuple[float, float], dict[str, float]]:
+def _climb_m(
+    bench: EvaluationSetup, results: Results
+) -> tuple[tuple[float, float], dict[str, float]]:
     """How far a step may fall and rise, and the successes that say so.
 
     No farther than the robot's file states, nor than stairs were walked; as stated where stairs
@@ -519,7 +525,7 @@ def _millimetres_up(length_m: float) -> float:
     return math.ceil(round(1000 * length_m, 6)) / 1000
 
 
-SECTIONS: Mapping[str, Callable[[Bench], list[Part]]] = {
+SECTIONS: Mapping[str, Callable[[EvaluationSetup], list[Part]]] = {
     "modes": modes_parts,
     "stairs": stairs_parts,
     "gait": gait_parts,

@@ -18,7 +18,7 @@ from app.navigation.report import (
 )
 from controller.gait import CONTROL_PERIOD_S, steps_s
 from controller.policy import Policy
-from controller.step_cursor import Track
+from controller.step_cursor import StepSequence
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
@@ -119,7 +119,9 @@ class Navigator:
         qpos[self.scene.joint_qpos] += self.config.joint_noise_rad * noise
         self.walker.place(0, qpos)
         # Until there is a plan it stands where it is: its next two steps are its own feet.
-        self.walker.follow(0, Track.of(self._start_feet, np.zeros(0, np.int8), np.zeros((0, 4))))
+        self.walker.follow(
+            0, StepSequence.of(self._start_feet, np.zeros(0, np.int8), np.zeros((0, 4)))
+        )
         self.plans: list[FootstepPlan] = []
         self.followed: list[tuple[float, FootstepPlan]] = []
         self.placed: list[Placed] = []
@@ -291,8 +293,8 @@ class Navigator:
         if plan.step_s is not None and len(plan):
             self.policy.require_pace(self.robot, plan.step_s)
         side = plan.side.astype(np.int64)
-        track = Track.of(plan.start_feet_world, side, plan.pose_world, plan.step_s)
-        self.walker.follow(0, track, wait_ticks=wait_ticks, walking=walking)
+        sequence = StepSequence.of(plan.start_feet_world, side, plan.pose_world, plan.step_s)
+        self.walker.follow(0, sequence, wait_ticks=wait_ticks, walking=walking)
         self.followed.append((self.time_s, plan))
         self._still_ticks = self._arrived_ticks = 0
         own_s = len(plan) * self.robot.gait.step_s

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from app.options import find_follower
+from app.options import find_robot_with_limits
 from app.output import as_bad_input
 from app.viewer.camera import Cameras
 from app.viewer.map_scene import add_floor
@@ -242,7 +242,7 @@ def load_robot(name: str) -> tuple[Robot, Policy]:
     Raises:
         InputError: There is no such robot, or nobody has taught it to walk.
     """
-    robot = find_follower(name)
+    robot = find_robot_with_limits(name)
     with as_bad_input(PolicyError):
         return robot, load_policy(robot, POLICY_FOLDER / f"{name}.safetensors")
 

@@ -13,7 +13,7 @@ import numpy as np
 from controller.evaluation.rollouts import set_off, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
-from controller.step_cursor import Track
+from controller.step_cursor import StepSequence
 from controller.step_sequences import chain_steps
 from planner.robot_model import Side
 from sim.robot import Robot
@@ -93,10 +93,10 @@ def record_walk(
     """
     steps = int(seconds / robot.gait.step_s) + 2
 
-    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         relative = repeated(step, robot.step_model.stance_width_m, steps)
         side, poses = chain_steps(feet, Side(row % 2), relative)
-        return Track.of(feet, side, poses)
+        return StepSequence.of(feet, side, poses)
 
     walker = set_off(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel

@@ -11,7 +11,7 @@ import numpy as np
 from controller.evaluation.rollouts import portions, set_off, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
-from controller.step_cursor import Track
+from controller.step_cursor import StepSequence
 from controller.step_sequences import chain_steps
 from planner.robot_model import Side
 from sim.robot import Robot
@@ -95,11 +95,11 @@ def _walk_pushed(
     width_m = robot.step_model.stance_width_m
     ahead_m = robot.step_model.limits.most_x_m(width_m)
 
-    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         length_m = rng.uniform(0.5, 1.0) * ahead_m
         relative = np.tile((length_m, width_m, 0.0), (steps, 1))
         side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
-        return Track.of(feet, side, poses)
+        return StepSequence.of(feet, side, poses)
 
     walker = set_off(robot, draw, count=len(pushes), seed=seed, threads=threads)
     still = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Batches of robots that walk given tracks from a stand, watched tick by tick.
+"""Batches of robots that walk given sequences from a stand, watched tick by tick.
 
 Reports are measured on these walks; training and its assessment have episodes of their own
 (controller/env.py). The physics runs at the rate of navigation.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.policy import Policy
-from controller.step_cursor import Track
+from controller.step_cursor import StepSequence
 from controller.walker import Walker
 from sim.robot import Robot
 from sim.scene import build_scene
@@ -24,8 +24,8 @@ LONGEST_WAIT_TICKS = 20
 # Sets these walks apart from the episodes of training, whose seeds are pairs.
 _HELD_OUT = 20_220_712
 
-# Gives robot `row` its track; told the random generator, the row and where its feet are (2, 4).
-DrawTrack = Callable[[np.random.Generator, int, np.ndarray], Track]
+# Gives robot `row` its sequence; told the random generator, the row and where its feet are (2, 4).
+DrawTrack = Callable[[np.random.Generator, int, np.ndarray], StepSequence]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Tick:
     number: int
     upright: np.ndarray
     landed: np.ndarray  # a step's period has just ended, and the robot is upright
-    entry: np.ndarray  # of the step under way in its track: STANCE + k for step k
+    entry: np.ndarray  # of the step under way in its sequence: STANCE + k for step k
     asked_world: np.ndarray  # (B, 4) where that step was asked for
     placed_world: np.ndarray  # (B, 4) where its foot is now
     indicator: np.ndarray  # (B, 2) how much each foot should have borne weight
@@ -55,7 +55,7 @@ def set_off(
     threads: int = 1,
     record: tuple[str, ...] = (),
 ) -> Walker:
-    """`count` robots in half-sitting, a little off it, each about to walk its own track."""
+    """`count` robots in half-sitting, a little off it, each about to walk its own sequence."""
     scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
     walker = Walker(scene, count=count, threads=threads, record=record)
     feet = scene.soles_at(scene.standing_qpos)
@@ -118,4 +118,4 @@ def _set_down(walker: Walker, row: int) -> None:
     walker.place(row, scene.standing_qpos)
     feet = scene.soles_at(scene.standing_qpos)
     none = np.zeros(0, dtype=np.int64)
-    walker.follow(row, Track.of(feet, none, np.zeros((0, 4))))
+    walker.follow(row, StepSequence.of(feet, none, np.zeros((0, 4))))

@@ -15,7 +15,7 @@ import numpy as np
 from controller.evaluation.rollouts import portions, set_off, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
-from controller.step_cursor import STANCE, Track
+from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import chain_steps, kept_within
 from planner.plan import pair_pose
 from planner.robot_model import BodyShape, Side, StepLimits, StepModel
@@ -154,10 +154,10 @@ def _walk_portion(
     steps = int(LIMITS_WALK_S / robot.gait.step_s) + 2
     counting = np.zeros((len(rows), steps), dtype=bool)
 
-    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Track:
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         relative, counting[row] = draw_steps(rng, steps, rows[row])
         side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
-        return Track.of(feet, side, poses)
+        return StepSequence.of(feet, side, poses)
 
     walker = set_off(robot, draw, count=len(rows), seed=seed, threads=threads)
     upright = np.ones(len(rows), dtype=bool)

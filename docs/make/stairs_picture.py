@@ -19,7 +19,7 @@ from app.pictures.film import tile
 from controller.curriculum import Stage
 from controller.env import TaskConfig
 from controller.gym_env import make_task
-from controller.gym_render import HEIGHT, WIDTH, Painter
+from controller.gym_render import HEIGHT, WIDTH, SceneRenderer
 from controller.policy import Policy, load_policy
 from sim.robots import get_robot
 
@@ -57,7 +57,7 @@ def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> 
         render_mode="rgb_array",
     )
     task.restart(np.random.SeedSequence([20_000 + seed]))
-    painter = Painter(task.walker.scene)
+    painter = SceneRenderer(task.walker.scene)
     shown = set(np.linspace(60, SHOWN_TICKS, MOMENTS).astype(int))
     pictures, observation = [], task.observe()
     for tick in range(SHOWN_TICKS + 1):

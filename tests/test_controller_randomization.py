@@ -10,20 +10,20 @@ import pytest
 from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.gait import CONTROL_PERIOD_S
-from controller.randomization import PUSH_TICKS, Disturbances, Robustness
+from controller.randomization import PUSH_TICKS, Disturbances, DomainRandomization
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene
 from sim.terrain import Ground
 
 COUNT = 400
-LOUD = replace(Robustness(), quiet_share=0.0, late_share=1.0, push_share=1.0)
+LOUD = replace(DomainRandomization(), quiet_share=0.0, latency_share=1.0, push_share=1.0)
 
 
-def drawn(config, hardness, seed=0):
+def drawn(config, disturbance_level, seed=0):
     disturbances, rng = Disturbances(config, COUNT, 12), np.random.default_rng(seed)
     for row in range(COUNT):
-        disturbances.draw_episode(rng, row, hardness, period_s=CONTROL_PERIOD_S, ticks=100)
+        disturbances.draw_episode(rng, row, disturbance_level, period_s=CONTROL_PERIOD_S, ticks=100)
     return disturbances
 
 
@@ -45,24 +45,29 @@ def impulses(disturbances):
     return np.linalg.norm(sim.forces, axis=2).sum(axis=0) * CONTROL_PERIOD_S
 
 
-@pytest.mark.parametrize("hardness", [1.0, 0.5])
-def test_amplitudes_fill_their_ranges_and_scale_with_the_hardness(hardness):
-    disturbances = drawn(LOUD, hardness)
+@pytest.mark.parametrize("disturbance_level", [1.0, 0.5])
+def test_amplitudes_fill_their_ranges_and_scale_with_the_level(disturbance_level):
+    disturbances = drawn(LOUD, disturbance_level)
     for amplitude, highest in (
         (np.degrees(disturbances.joint_noise_rad), 6.5),
         (np.degrees(disturbances.tilt_noise_rad), 1.0),
         (disturbances.angular_speed_noise_rad_s, 0.1),
-        (disturbances.late_ticks, 1.0),
+        (disturbances.latency_ticks, 1.0),
         (impulses(disturbances), 12.0),
     ):
         assert amplitude.min() >= 0
-        assert 0.95 * highest * hardness < amplitude.max() <= highest * hardness * (1 + 1e-9)
-        assert np.mean(amplitude) == pytest.approx(highest * hardness / 2, rel=0.1)
+        assert (
+            0.95 * highest * disturbance_level
+            < amplitude.max()
+            <= highest * disturbance_level * (1 + 1e-9)
+        )
+        assert np.mean(amplitude) == pytest.approx(highest * disturbance_level / 2, rel=0.1)
     errors = [
-        disturbances.draw_tread_error_m(np.random.default_rng(k), hardness) for k in range(COUNT)
+        disturbances.draw_tread_error_m(np.random.default_rng(k), disturbance_level)
+        for k in range(COUNT)
     ]
     assert np.mean(np.equal(errors, 0.0)) == pytest.approx(0.3, abs=0.07)
-    assert 0.05 * hardness < max(errors) <= 0.055 * hardness
+    assert 0.05 * disturbance_level < max(errors) <= 0.055 * disturbance_level
 
 
 def test_quiet_episodes_have_none_of_it():
@@ -72,7 +77,7 @@ def test_quiet_episodes_have_none_of_it():
     for amplitude in (
         disturbances.tilt_noise_rad,
         disturbances.angular_speed_noise_rad_s,
-        disturbances.late_ticks,
+        disturbances.latency_ticks,
         impulses(disturbances),
     ):
         assert np.array_equal(amplitude == 0, quiet)
@@ -80,7 +85,7 @@ def test_quiet_episodes_have_none_of_it():
 
 def test_noise_of_joint_speeds_goes_with_that_of_positions():
     """3 degrees on positions are 30 deg/s on speeds; clock and steps are seen as they are."""
-    disturbances = drawn(Robustness.exactly(joint_noise_deg=3.0), 1.0)
+    disturbances = drawn(DomainRandomization.exactly(joint_noise_deg=3.0), 1.0)
     noise = disturbances.sense(np.random.default_rng(0), np.zeros((COUNT, 39)))
     limit = np.radians(np.r_[np.zeros(5), np.full(12, 3.0), np.full(12, 30.0), np.zeros(10)])
     assert np.all(np.abs(noise) <= limit)
@@ -94,14 +99,14 @@ def test_same_seed_same_draws():
     assert not np.array_equal(first.joint_noise_rad, other.joint_noise_rad)
 
 
-def standing_run(stage, robustness, seed=0):
+def standing_run(stage, randomization, seed=0):
     """Everything a task with nothing drawn in it gives, whatever the seed, over 20 steps."""
     config = TaskConfig(
         joint_noise_rad=0.0,
         joint_speed_noise_rad_s=0.0,
         wait_ticks=0,
         episode_ticks=12,
-        robustness=robustness,
+        randomization=randomization,
     )
     task = WalkTask(
         get_robot("jvrc1"), count=2, seed=seed, mode="standing", config=config, stage=stage
@@ -114,28 +119,32 @@ def standing_run(stage, robustness, seed=0):
 
 
 def test_all_switched_off_is_bit_identical_to_no_disturbance():
-    calm = standing_run(Stage(), Robustness())
-    off = standing_run(Stage(hardness=1.0), Robustness.exactly(), seed=1)
-    assert np.array_equal(calm, off)
+    clear = standing_run(Stage(), DomainRandomization())
+    off = standing_run(Stage(disturbance_level=1.0), DomainRandomization.exactly(), seed=1)
+    assert np.array_equal(clear, off)
     for change in (
         {"joint_noise_deg": (1.0, 1.0)},
-        {"late_share": 1.0, "late_ticks": (0.5, 0.5)},
+        {"latency_share": 1.0, "latency_ticks": (0.5, 0.5)},
         {"push_share": 1.0, "push_n_s": (10.0, 10.0)},
         {"mass_factor": (1.05, 1.05)},
         {"gain_factor": (1.05, 1.05)},
         {"friction_factor": (0.2, 0.2)},
         {"pelvis_com_m": (0.01, 0.01)},
     ):
-        on = standing_run(Stage(hardness=1.0), replace(Robustness.exactly(), **change))
-        assert not np.array_equal(calm, on), change
+        on = standing_run(
+            Stage(disturbance_level=1.0), replace(DomainRandomization.exactly(), **change)
+        )
+        assert not np.array_equal(clear, on), change
 
 
-def test_task_that_goes_back_to_no_hardness_is_calm_again():
-    config = TaskConfig(robustness=LOUD)
-    task = WalkTask(get_robot("jvrc1"), count=2, seed=0, config=config, stage=Stage(hardness=1.0))
-    assert task.walker.late_ticks.all()
+def test_task_that_goes_back_to_no_disturbance_is_clear_again():
+    config = TaskConfig(randomization=LOUD)
+    task = WalkTask(
+        get_robot("jvrc1"), count=2, seed=0, config=config, stage=Stage(disturbance_level=1.0)
+    )
+    assert task.walker.latency_ticks.all()
     task.restart(3, stage=Stage())
-    assert not task.walker.late_ticks.any()
+    assert not task.walker.latency_ticks.any()
     assert np.array_equal(task.observe(), task.critic_observe(task.observe())[:, :41])
 
 
@@ -166,7 +175,7 @@ def test_models_vary_by_their_factors():
         {"joint_noise_deg": (3.0, 1.0)},
         {"push_n_s": (-1.0, 1.0)},
         {"tread_error_m": (0.0, float("inf"))},
-        {"late_ticks": (0.0, 2.0)},
+        {"latency_ticks": (0.0, 2.0)},
         {"mass_factor": (0.0, 1.0)},
         {"quiet_share": 1.5},
         {"joint_speed_noise_per_s": -1.0},
@@ -174,4 +183,4 @@ def test_models_vary_by_their_factors():
 )
 def test_impossible_ranges_are_refused_by_their_names(values):
     with pytest.raises(ValueError, match=next(iter(values))):
-        Robustness(**values)
+        DomainRandomization(**values)
