@@ -13,6 +13,12 @@ from app.options import parse_options
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    *(str(path.relative_to(ROOT)) for path in sorted(ROOT.glob("docs/**/*.md"))),
+]
+FOLDERS = "app|benchmarks|controller|docs|examples|maps|planner|sim|tests"
 CODE_LINES = [
     line
     for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
@@ -44,17 +50,26 @@ def test_every_command_line_is_one_that_is_taken():
         parse_options(COMMANDS[name].load_options(), words, program=name, example="")
 
 
-@pytest.mark.parametrize(
-    "page", ["README.md", *(str(p.relative_to(ROOT)) for p in ROOT.glob("docs/**/*.md"))]
-)
+@pytest.mark.parametrize("page", PAGES)
 def test_every_link_leads_somewhere(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", text):
         assert (ROOT / page).parent.joinpath(target).exists(), f"{page} links to {target}"
 
 
-def test_every_file_that_the_readme_names_is_there():
-    named = set(re.findall(r"`((?:\w+/)+\w+\.\w+|\w+\.py)`", README)) - {"maps/room.png"}
-    assert "app/cli.py" in named
-    for name in named:
-        assert (ROOT / name).exists(), f"README names {name}"
+@pytest.mark.parametrize("page", PAGES)
+def test_every_file_and_module_that_is_named_is_there(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for name in re.findall(rf"`((?:{FOLDERS})/[\w./-]+|\w+\.py)`", text):
+        if "NAME" not in name:
+            assert (ROOT / name).exists(), f"{page} names {name}"
+    for module in re.findall(rf"python -m ((?:{FOLDERS})\.[\w.]+)", text):
+        path = ROOT / module.replace(".", "/")
+        assert path.with_suffix(".py").exists(), f"{page} names python -m {module}"
+
+
+def test_the_pages_name_files_and_modules():
+    """The rule above sees something: the README's table of where to look, the benchmarks."""
+    assert "`app/cli.py`" in README
+    measurements = (ROOT / "docs/notes/planner_measurements.md").read_text(encoding="utf-8")
+    assert "python -m benchmarks.planner" in measurements
