@@ -1,7 +1,7 @@
 """Domain randomization: sensor noise, latency, pushes, model parameters, tread errors.
 
 Every range is (low, high). A `DomainRandomization` says what is drawn; `Disturbances` holds what
-was drawn for each of B robots and applies it. All of it scales with the curriculum's disturbance level.
+was drawn for each of B robots and applies it. All of it scales with the curriculum's level.
 """
 
 from __future__ import annotations

@@ -42,6 +42,20 @@ def test_walk_in_the_room_writes_what_the_contract_names(tmp_path, capsys):
     assert cv2.imread(str(tmp_path / "path.png")) is not None
 
 
+def test_a_walk_of_four_steps_and_more_tells_of_its_gait(tmp_path, capsys):
+    assert run(tmp_path, "--goal", "0.4,0.5,0") == 0
+    assert "gait: pelvis at 0." in capsys.readouterr().out
+    document = json.loads((tmp_path / "report.json").read_text())
+    gait, height = document["gait"], document["gait"]["pelvis_height_m"]
+    assert document["steps_taken"] >= 4
+    assert 0.5 < height["least"] <= height["median"] < 0.85
+    assert 0.5 < height["at_rest"] < 0.85
+    assert 0.5 < gait["peak_force_weights"] < 3.0
+    assert 0.0 < gait["swing_apex_m"]["median"] <= gait["swing_apex_m"]["p95"] < 0.3
+    assert 0.0 < gait["touchdown_speed_m_s"]["median"] < 1.5
+    assert 0.02 < gait["speed_m_s"] < 0.5
+
+
 @pytest.mark.parametrize(
     ("words", "code", "complaint"),
     [

@@ -16,6 +16,7 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
+from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S, steps_s
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
@@ -110,7 +111,8 @@ class Navigator:
         self.start, self.goal, self.seed = tuple(start), tuple(goal), seed
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
-        self.walker = Walker(self.scene, threads=1)
+        self.walker = Walker(self.scene, threads=1, record=("qvel",))
+        self._gait = GaitRecorder(self.walker)
         self._footing = Footing(grid, robot.step_model, unknown_is_free)
         self._planner = planner or Planner(grid, robot.step_model, self.config.planner)
         qpos = self.scene.qpos_at(np.array(self.start), self._footing.stand_m(self.start))
@@ -185,6 +187,7 @@ class Navigator:
             goal=finite_pose(self.goal),
             seed=self.seed,
             policy=policy,
+            gait=self._gait.summary(),
             versions=installed_versions(),
         )
 
@@ -207,7 +210,9 @@ class Navigator:
         cursor = self.walker.cursor
         side = Side(int(cursor.side[0]))
         asked = cursor.foot_targets[0, side].copy()
-        stepped = self.walker.act(self.policy.act(self.walker.observe()))[0]
+        walking = not cursor.standing[0]
+        stepped = bool(self.walker.act(self.policy.act(self.walker.observe()))[0])
+        self._gait.ticked(self.walker, side, walking=walking, landed=stepped)
         self.qpos.append(self.walker.sim.qpos[0].copy())
         self._look_for_failure()
         if self.outcome is not None:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from app.output import ExitCode, to_json
+from controller.evaluation.gait_summary import GaitSummary
 
 FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
@@ -98,6 +99,7 @@ class NavigationReport:
     sim_time_s: float = 0.0
     wall_time_s: float = 0.0
     policy: PolicyFile | None = None
+    gait: GaitSummary | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -109,11 +111,13 @@ class NavigationReport:
         """The text of report.json."""
         values = {key: getattr(self, key) for key in _ORDER}
         values["outcome"] = str(self.outcome)
-        for key in ("foot_error_m", "policy"):
+        for key in ("foot_error_m", "policy", "gait"):
             values[key] = None if values[key] is None else dataclasses.asdict(values[key])
         for key in ("start", "goal"):
             values[key] = [float(part) for part in values[key]]
         values["versions"] = dict(self.versions)
+        if self.gait is None:
+            del values["gait"]  # too few steps to speak of one
         return to_json({"format": FORMAT, **values})
 
     @classmethod
@@ -131,10 +135,15 @@ class NavigationReport:
             found = document.get("format") if isinstance(document, dict) else document
             raise ValueError(f"not a report: format is {found!r}, must be {FORMAT!r}")
         values = {key: value for key, value in document.items() if key != "format"}
+        values.setdefault("gait", None)
         _check_keys(values)
         try:
             values["outcome"] = Outcome(values["outcome"])
-            for key, kind in (("foot_error_m", FootError), ("policy", PolicyFile)):
+            for key, kind in (
+                ("foot_error_m", FootError),
+                ("policy", PolicyFile),
+                ("gait", GaitSummary),
+            ):
                 values[key] = None if values[key] is None else kind(**values[key])
             for key in ("start", "goal"):
                 x_m, y_m, yaw_rad = (float(part) for part in values[key])
@@ -158,6 +167,8 @@ class NavigationReport:
                 f"feet from their steps: {100 * error.median:.1f} cm median, "
                 f"{100 * error.p95:.1f} cm 95th percentile, {100 * error.max:.1f} cm at most"
             )
+        if self.gait is not None:
+            lines.append(_gait_line(self.gait))
         if self.min_clearance_m is not None:
             lines.append(f"nearest to an obstacle: {100 * self.min_clearance_m:.0f} cm")
         lines.append(
@@ -167,11 +178,24 @@ class NavigationReport:
         return "\n".join(lines)
 
 
+def _gait_line(gait: GaitSummary) -> str:
+    height, apex = gait.pelvis_height_m, gait.swing_apex_m
+    landing = gait.touchdown_speed_m_s
+    down = "" if landing is None else f", soles down at {landing['median']:.2f} m/s"
+    return (
+        f"gait: pelvis at {height['median']:.2f} m (least {height['least']:.2f}), bobs "
+        f"{100 * gait.pelvis_bob_m:.1f} cm, feet lifted {100 * apex['median']:.1f} cm{down}, "
+        f"{gait.peak_force_weights:.2f} weights on a foot, cost of transport "
+        f"{gait.cost_of_transport:.2f} at {gait.speed_m_s:.2f} m/s"
+    )
+
+
 # The order in which a person reads it; also the whole set of keys.
 _ORDER = (
     *("outcome", "reason", "goal_error_m", "goal_error_rad", "steps_planned", "steps_taken"),
     *("replans", "foot_error_m", "min_clearance_m", "planning_time_s", "sim_time_s"),
-    *("wall_time_s", "robot", "map", "start", "goal", "seed", "policy", "versions"),
+    *("wall_time_s", "robot", "map", "start", "goal", "seed", "policy", "gait"),
+    "versions",
 )
 
 

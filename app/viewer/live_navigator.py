@@ -144,7 +144,7 @@ class LiveNavigator(Navigator):
         """Goes on in exactly the same state on a changed map."""
         before = self.walker
         scene = scene_of(grid, self.robot, self.config.planner.unknown_is_free)
-        walker = Walker(scene, threads=1)
+        walker = Walker(scene, threads=1, record=("qvel",))
         walker.place(0, before.sim.qpos[0], before.sim.qvel[0])
         walker.cursor, walker.action = before.cursor, before.action
         walker.sim.sensors[:] = before.sim.sensors

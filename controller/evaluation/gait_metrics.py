@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from controller.evaluation.gait_summary import CONTACT_WEIGHTS, GRAVITY_M_S2
 from controller.evaluation.rollouts import set_off, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
@@ -132,11 +133,6 @@ def repeated(step: Step, stance_width_m: float, steps: int) -> np.ndarray:
     x_m, y_m, yaw_rad = step
     follows = (x_m, stance_width_m, 0.0) if y_m != stance_width_m or yaw_rad else step
     return np.array([(step, follows)[k % 2] for k in range(steps)])
-
-
-GRAVITY_M_S2 = 9.81
-# Less than this of the robot's weight on a foot does not count as contact.
-CONTACT_WEIGHTS = 0.02
 
 
 def joint_loads(record: WalkRecord, robot: Robot) -> list[dict[str, Any]]:
