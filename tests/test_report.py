@@ -13,6 +13,7 @@ from app.navigation.report import (
     installed_versions,
 )
 from app.output import ExitCode
+from controller.evaluation.gait_summary import GaitSummary
 
 REPORT = NavigationReport(
     outcome=Outcome.REACHED,
@@ -60,15 +61,29 @@ def test_the_document_is_the_agreed_one():
     }
 
 
+GAIT = GaitSummary(
+    pelvis_height_m={"median": 0.8, "least": 0.75, "at_rest": 0.81},
+    pelvis_bob_m=0.02,
+    swing_apex_m={"median": 0.07, "p95": 0.08},
+    touchdown_speed_m_s=None,
+    peak_force_weights=1.1,
+    cost_of_transport=0.4,
+    speed_m_s=0.28,
+)
+WITH_GAIT = dataclasses.replace(REPORT, gait=GAIT)
+
+
 def test_every_field_is_in_the_document():
     fields = {field.name for field in dataclasses.fields(NavigationReport)}
-    assert set(json.loads(REPORT.to_json())) == fields | {"format"}
+    assert set(json.loads(WITH_GAIT.to_json())) == fields | {"format"}
+    assert set(json.loads(REPORT.to_json())) == (fields | {"format"}) - {"gait"}
 
 
 @pytest.mark.parametrize(
     "report",
     [
         REPORT,
+        WITH_GAIT,
         NavigationReport(
             outcome=Outcome.NO_PATH,
             reason="the goal is walled in",
