@@ -28,7 +28,9 @@ from sim.robot import Robot
 from sim.robots import get_robot, robot_names
 
 if TYPE_CHECKING:
-    from app.navigation.navigator import Navigator
+    from app.navigation.navigator import Navigator, NavigatorConfig
+    from app.navigation.report import NavigationReport
+    from planner.planner import Planner
 
 __all__ = [
     "BodyShape",
@@ -36,8 +38,12 @@ __all__ = [
     "FootShape",
     "FootstepPlan",
     "MapError",
+    "NavigationReport",
+    "Navigator",
+    "NavigatorConfig",
     "OccupancyGrid",
     "PlanStatus",
+    "Planner",
     "PlannerOptions",
     "Policy",
     "PolicyError",
@@ -54,6 +60,21 @@ __all__ = [
     "read_map",
     "robot_names",
 ]
+
+_LOADED_WHEN_ASKED_FOR = {
+    "NavigationReport": "app.navigation.report",
+    "Navigator": "app.navigation.navigator",
+    "NavigatorConfig": "app.navigation.navigator",
+    "Planner": "planner.planner",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LOADED_WHEN_ASKED_FOR:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(_LOADED_WHEN_ASKED_FOR[name]), name)
 
 
 def read_map(
@@ -140,8 +161,7 @@ def navigate(
         seed: Of the posture in which it starts.
 
     Returns:
-        The finished walk: `report()`, `plans`, `placed` (each step as asked for and as placed) and
-        `qpos` (one state a control step).
+        The finished walk, with its report.
 
     Raises:
         PolicyError: There is no policy for this robot, or it cannot walk at this pace.

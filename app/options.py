@@ -21,7 +21,7 @@ import tyro
 from tyro import _errors as tyro_errors
 from tyro.constructors import PrimitiveConstructorSpec
 
-from app.output import InputError, as_bad_input
+from app.output import InputError, as_bad_input, say
 from controller.policy import Policy, PolicyError
 from controller.tracking_limits import as_measured
 from maps.grid import OccupancyGrid
@@ -338,7 +338,10 @@ def read_grid(options: MapOptions) -> OccupancyGrid:
         InputError: It cannot be read.
     """
     with as_bad_input(MapError):
-        return load_map(options.map, resolution_m=options.resolution, origin=options.origin)
+        grid = load_map(options.map, resolution_m=options.resolution, origin=options.origin)
+    if not options.map.exists():
+        say(f"map {options.map}: not in this folder; taking the one that comes with the program")
+    return grid
 
 
 def find_robot(name: str) -> Robot:

@@ -34,6 +34,22 @@ def test_what_is_public_is_there_and_says_what_it_is():
         assert getattr(footfall, name).__doc__, name
 
 
+def test_what_is_not_public_is_not_there():
+    with pytest.raises(AttributeError, match="no attribute 'walk_on_water'"):
+        footfall.walk_on_water  # noqa: B018
+
+
+def test_a_planner_plans_again_over_a_changed_map(room, robot):
+    options = footfall.PlannerOptions(name="adstar")
+    planner = footfall.Planner(room, robot.step_model, options)
+    assert planner.plan(start=START, goal=GOAL).found
+    walled = room.cells.copy()
+    row, col = room.world_to_cell(GOAL[:2])
+    walled[row - 40 : row + 40, col - 40 : col + 40] = footfall.Cell.OCCUPIED
+    planner.take_map(room.with_cells(walled))
+    assert planner.plan(start=START, goal=GOAL).status is footfall.PlanStatus.GOAL_BLOCKED
+
+
 def test_importing_it_loads_nothing_heavy():
     code = "import sys, footfall; print(*sys.modules)"
     done = subprocess.run(
@@ -88,6 +104,16 @@ def test_maps_that_come_along_are_found_from_anywhere(tmp_path, monkeypatch, roo
     assert (footfall.read_map("maps/room.png").cells == room.cells).all()
     with pytest.raises(footfall.MapError, match=r"maps/attic\.png: no such file"):
         footfall.read_map("maps/attic.png")
+
+
+def test_the_command_line_says_which_map_it_takes(tmp_path, monkeypatch, capsys):
+    words = ["plan", "--map", "maps/room.png", "--goal", "0.5,0,0"]
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 0
+    assert "map maps/room.png: not in this folder; taking the one" in capsys.readouterr().err
+    monkeypatch.chdir(ROOT)
+    assert main(words) == 0
+    assert "not in this folder" not in capsys.readouterr().err
 
 
 def run_example(monkeypatch, name: str, *words: str) -> None:

@@ -90,8 +90,9 @@ class FootstepPlanner(Protocol):
 class Navigator:
     """One robot on its way to a goal: `plan()` once, then `tick()` until `outcome` is set.
 
-    Poses are x_m, y_m, yaw_rad in the world; time passes only in `tick()`. `followed` holds the
-    plans that were walked, each with the time at which it was taken up.
+    Poses are x_m, y_m, yaw_rad in the world; time passes only in `tick()`. `plans` holds all plans
+    that were made, `followed` those that were walked, each with the time at which it was taken up,
+    `placed` each step as asked for and as placed, `qpos` the robot's state at each control step.
     """
 
     def __init__(
