@@ -20,10 +20,10 @@ from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wra
 from planner.refinement.refine import refine
 from planner.robot_model import Side, StepModel
 from planner.search.ad_star import plan_adstar
-from planner.search.ara_star import plan_ara, plan_astar, plan_backward
-from planner.search.coarse_to_fine import coarse_model
-from planner.search.problem import GoalContext, Request, Result, SearchRecord
+from planner.search.ara_star import coarse_model, plan_ara, plan_astar, plan_backward
+from planner.search.problem import GoalContext, Request, Result
 from planner.search.r_star import plan_rstar
+from planner.search.search_record import SearchRecord
 from planner.verify import violations
 
 # Which search answers to which name: one call for all, a request in and a result out.
@@ -179,7 +179,7 @@ class Planner:
         return None, ""
 
     def _has_other_ends(self, goal: Pose) -> bool:
-        return not self._region.is_point and len(self._context_of(goal).ends) > 0
+        return not self._region.is_point and len(self.goal_context(goal).ends) > 0
 
     def _feet_at(self, pose: ArrayLike) -> FloatArray:
         """Feet (2, 4) of a robot that stands at a pair pose, on the ground."""
@@ -204,11 +204,12 @@ class Planner:
         off[:, 3] = wrap_angle(off[:, 3])
         return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
 
-    def _context_of(self, goal: Pose) -> GoalContext:
-        """What searches to that goal share, kept until there is another."""
-        if self._context is None or self._context[0] != goal:
-            coarse = None if self._coarse is None else self._laid_out(goal, self._coarse)
-            self._context = goal, replace(self._laid_out(goal, self.model), coarse=coarse)
+    def goal_context(self, goal: ArrayLike) -> GoalContext:
+        """Lattice and heuristic of a goal pose (3,), kept until another one is asked for."""
+        pose = _pose(_finite("goal", goal, (3,)))
+        if self._context is None or self._context[0] != pose:
+            coarse = None if self._coarse is None else self._laid_out(pose, self._coarse)
+            self._context = pose, replace(self._laid_out(pose, self.model), coarse=coarse)
         return self._context[1]
 
     def _laid_out(self, goal: Pose, model: StepModel) -> GoalContext:
@@ -224,7 +225,7 @@ class Planner:
 
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
         request = Request(
-            context=self._context_of(query.goal),
+            context=self.goal_context(query.goal),
             feet_lattice=_to_lattice(query.start_feet_world, query.goal),
             feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
             stands=self._stands_too_near(query),

@@ -10,8 +10,8 @@ from planner.collision import terrain_of
 from planner.heuristics.heuristic import tables_of
 from planner.lattice.lattice import COST_UM, D_NODE, build_lattice, may_end_at, node_free
 from planner.lattice.map_change import change_between
-from planner.search.ad_star_tree import step_um
-from planner.search.search_task import new_tree
+from planner.search.ad_star_tree import edge_cost_um
+from planner.search.problem import new_tree
 from tests.planner_floor import walled
 from tests.planner_oracle import small_model
 
@@ -36,7 +36,7 @@ def steps_over(grid, model, nodes):
             continue
         for k in np.flatnonzero(lattice.steps[node % rows, :, COST_UM]):
             to = int(node + lattice.steps[node % rows, k, D_NODE])
-            costs_um[i, k] = step_um(lattice, tree, int(node), to)
+            costs_um[i, k] = edge_cost_um(lattice, tree, int(node), to)
     return costs_um, np.array([may_end_at(lattice, node) for node in nodes])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.options import PlannerOptions
 from planner.planner import Planner
-from planner.search.coarse_to_fine import coarse_model, on_fine
+from planner.search.ara_star import coarse_model, nodes_on_fine
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.planner_floor import blocked_at
@@ -26,8 +26,8 @@ def test_only_fine_cells_have_a_coarse_lattice_and_its_cells_hold_whole_numbers_
 
 
 def test_a_node_of_the_coarse_lattice_is_the_same_foot_on_the_fine_one():
-    planner = Planner(GRID, FINE, options=PlannerOptions(refine=False))
-    fine = planner._context_of(GOAL)
+    planner = Planner(GRID, FINE, PlannerOptions(refine=False))
+    fine = planner.goal_context(GOAL)
     assert fine.coarse is not None
     coarse = fine.coarse.lattice
     rows = 2 * coarse.headings
@@ -35,7 +35,7 @@ def test_a_node_of_the_coarse_lattice_is_the_same_foot_on_the_fine_one():
     inside = np.abs(nodes // rows % coarse.cols - coarse.origin_col) < 10
     inside &= np.abs(nodes // rows // coarse.cols - coarse.origin_row) < 10
     nodes = np.random.default_rng(0).choice(nodes[inside], 200)
-    for node, moved in zip(nodes, on_fine(coarse, fine.lattice, nodes), strict=True):
+    for node, moved in zip(nodes, nodes_on_fine(coarse, fine.lattice, nodes), strict=True):
         poses = []
         for lattice, number in ((coarse, node), (fine.lattice, moved)):
             row, cell = number % (2 * lattice.headings), number // (2 * lattice.headings)

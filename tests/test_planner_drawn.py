@@ -11,8 +11,7 @@ from planner.heuristics.heuristic import estimate, estimates
 from planner.heuristics.potential import MOVES
 from planner.options import PlannerOptions
 from planner.planner import Planner
-from planner.search.ad_star import heuristic_on_the_way
-from planner.search.problem import first_nodes
+from planner.search.ad_star import heuristic_near_paths
 from tests.planner_floor import CASES, fine_model, scatter, walled
 from tests.planner_oracle import Oracle, oracle_node, small_model
 from tests.test_planner_heuristic import request_of
@@ -22,8 +21,7 @@ def toward_on(grid, model, start, goal):
     """What a planner knows after one plan."""
     planner = Planner(grid, model, options=PlannerOptions(refine=False))
     planner.plan(start=start, goal=goal)
-    assert planner._context is not None
-    return planner._context[1]
+    return planner.goal_context(goal)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -76,8 +74,8 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
     grid, start, goal = CASES[name]
     model = small_model()
     request = request_of(grid, model, start, goal)
-    nodes, costs_um = first_nodes(request)
-    heuristic = heuristic_on_the_way(request.context, nodes)
+    nodes, costs_um = request.first_nodes()
+    heuristic = heuristic_near_paths(request.context, nodes)
     exact_m = Oracle(grid, model, goal).costs_to_go(start)
     seen = 0
     for node in range(request.lattice.nodes):
@@ -97,9 +95,9 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
 def test_near_the_goal_the_table_says_what_the_path_does_not():
     grid, model = walled(), small_model()
     request = request_of(grid, model, (1.2, 1.2, 0.0), (1.5, 1.3, 0.0))
-    nodes, _ = first_nodes(request)
+    nodes, _ = request.first_nodes()
     drawn_um, exact_um = (
         estimates(request.lattice, h, nodes)
-        for h in (heuristic_on_the_way(request.context, nodes), request.heuristic)
+        for h in (heuristic_near_paths(request.context, nodes), request.heuristic)
     )
     np.testing.assert_array_equal(drawn_um, exact_um)

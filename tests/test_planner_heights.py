@@ -13,7 +13,7 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
-from planner.search.reachability import Verdict, new_flood, spread
+from planner.search.reachability import Verdict, expand_both, new_flood
 from planner.verify import violations
 from tests.planner_oracle import Oracle, small_model
 from tests.planner_treads import CASES, CLIMBER, LIMITS, floor
@@ -192,8 +192,7 @@ def test_the_floods_meet_just_where_there_is_a_plan(name):
     grid, start, goal = CASES[name]
     planner = Planner(grid, CLIMBER, options=PlannerOptions(refine=False))
     plan = planner.plan(start=start, goal=goal)
-    assert planner._context is not None
-    lattice, oracle = planner._context[1].lattice, Oracle(grid, CLIMBER, goal)
+    lattice, oracle = planner.goal_context(goal).lattice, Oracle(grid, CLIMBER, goal)
 
     def number(node):
         col, row, heading, side = node
@@ -204,7 +203,7 @@ def test_the_floods_meet_just_where_there_is_a_plan(name):
     goals = np.array([number((0, 0, 0, side)) for side in (0, 1)])
     flood, verdict = new_flood(lattice, seeds, goals), Verdict.OPEN
     while verdict is Verdict.OPEN:
-        flood, verdict = spread(lattice, flood, 7)
+        flood, verdict = expand_both(lattice, flood, 7)
     assert (verdict is Verdict.MET) == plan.found
 
 

@@ -12,9 +12,8 @@ from planner.heuristics.heuristic import estimate
 from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import feet_at
 from planner.planner import Planner, _to_lattice, plan_footsteps
-from planner.search.first_plan import quick_path
-from planner.search.problem import Request, first_nodes
-from planner.search.search_task import heuristic_toward_start
+from planner.search.first_plan import find_first_plan
+from planner.search.problem import Request, heuristic_to_start
 from tests.planner_floor import CASES
 from tests.planner_oracle import Oracle, oracle_node, small_model
 
@@ -25,8 +24,7 @@ def test_the_heuristic_is_never_above_the_exact_cost(name):
     model = small_model()
     planner = Planner(grid, model, options=PlannerOptions(refine=False))
     assert planner.plan(start=start, goal=goal).found
-    assert planner._context is not None
-    lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
+    lattice, heuristic = planner.goal_context(goal).lattice, planner.goal_context(goal).heuristic
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
@@ -56,8 +54,7 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
     exits = replace(tables.exits, radius_cells=10**6)
     planner._tables = tables._replace(goal_table=goal_table, exits=exits)
     planner.plan(start=start, goal=goal)
-    assert planner._context is not None
-    lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
+    lattice, heuristic = planner.goal_context(goal).lattice, planner.goal_context(goal).heuristic
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
@@ -82,8 +79,7 @@ def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuris
     options = PlannerOptions(heuristic=heuristic, goal_reach_m=reach_m, refine=False)
     planner = Planner(grid, model, options)
     assert planner.plan(start=start, goal=goal).found
-    assert planner._context is not None
-    context = planner._context[1]
+    context = planner.goal_context(goal)
     oracle = Oracle(grid, model, goal)
     exact = oracle.costs_to_go(start)
     assert len(exact) > 500
@@ -131,8 +127,8 @@ def test_euclidean_heuristics_by_hand():
             grid, small_model(step_cost_m=0.1), PlannerOptions(heuristic=name, refine=False)
         )
         planner.plan(start=start, goal=goal)
-        assert planner._context is not None
-        lattice, heuristic = planner._context[1].lattice, planner._context[1].heuristic
+        context = planner.goal_context(goal)
+        lattice, heuristic = context.lattice, context.heuristic
         # The last step costs the stance width of 0.2 m and 0.1 m as every step does.
         far_m = estimated_m(lattice, heuristic, (-6, 0, 0, 0))
         assert far_m == pytest.approx(0.3 + 0.6 * metre_m, abs=1e-5)
@@ -153,8 +149,8 @@ def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name, furt
     model = small_model()
     oracle = Oracle(grid, model, goal)
     request = request_of(grid, model, start, goal)
-    nodes, costs_um = first_nodes(request)
-    heuristic = heuristic_toward_start(request, nodes, costs_um, further_um)
+    nodes, costs_um = request.first_nodes()
+    heuristic = heuristic_to_start(request, nodes, costs_um, further_um)
     known = {oracle_node(request.lattice, int(node)) for node in nodes}
     # The search keeps the feet a little farther apart in the first step than the oracle does.
     cost_m = oracle.costs_from(
@@ -171,19 +167,19 @@ def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
     model = small_model()
     best_m = Oracle(grid, model, goal).best_cost(start)
     request = request_of(grid, model, start, goal)
-    quick = quick_path(request, *first_nodes(request), PlannerOptions(refine=False))
+    nodes, costs_um = request.first_nodes()
+    quick = find_first_plan(request, nodes, costs_um, PlannerOptions(refine=False))
     assert quick is not None
-    assert quick.least_um / 1e6 <= best_m + 1e-5
+    assert quick.lower_bound_um / 1e6 <= best_m + 1e-5
     assert quick.cost_um / 1e6 >= best_m - 1e-5
 
 
 def request_of(grid, model, start, goal):
     planner = Planner(grid, model, options=PlannerOptions(refine=False))
     planner.plan(start=start, goal=goal)
-    assert planner._context is not None
     feet = feet_at(start, model.stance_width_m)
     return Request(
-        context=planner._context[1],
+        context=planner.goal_context(goal),
         feet_lattice=_to_lattice(feet, goal),
         feet_m=np.zeros(2),
         stands=False,

@@ -13,7 +13,7 @@ from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import BodyShape
 from planner.search import ara_star as run
-from planner.search.reachability import Verdict, new_flood, spread
+from planner.search.reachability import Verdict, expand_both, new_flood
 from planner.verify import violations
 from tests.planner_floor import scatter
 from tests.planner_oracle import Oracle, small_model
@@ -38,6 +38,7 @@ def bent_corridor():
     return OccupancyGrid(cells=cells, resolution_m=0.1)
 
 
+BLOCKED = PlanStatus.START_BLOCKED, PlanStatus.GOAL_BLOCKED
 BENT, IN_ROOM, ROUND_CORNER = bent_corridor(), (0.8, 0.8, 0.0), (2.25, 2.1, math.pi / 2)
 
 
@@ -55,11 +56,10 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
     compared = 0
     while compared < 4:
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
-        planner = Planner(grid, model, options=PlannerOptions(refine=False))
-        planner.plan(start=start, goal=goal)
-        if planner._context is None:
-            continue  # the start or the goal itself is blocked
-        lattice = planner._context[1].lattice
+        planner = Planner(grid, model, PlannerOptions(refine=False))
+        if planner.plan(start=start, goal=goal).status in BLOCKED:
+            continue
+        lattice = planner.goal_context(goal).lattice
         oracle = Oracle(grid, model, goal)
 
         def number(node, lattice=lattice):
@@ -73,7 +73,7 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
         goals = np.array([number((0, 0, 0, side)) for side in (0, 1)])
         flood, verdict = new_flood(lattice, seeds, goals), Verdict.OPEN
         while verdict is Verdict.OPEN:
-            flood, verdict = spread(lattice, flood, 7)
+            flood, verdict = expand_both(lattice, flood, 7)
         assert (verdict is Verdict.MET) == math.isfinite(oracle.best_cost(start))
         compared += 1
 

@@ -49,7 +49,7 @@ def test_the_cost_of_a_chain_is_that_of_the_search():
         start, goal = rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (2, 3))
         planner = Planner(grid, model, LATTICE)
         plan = planner.plan(start=start, goal=goal)
-        if not plan.found or not len(plan) or planner._context is None:
+        if not plan.found or not len(plan):
             continue
         rules, poses, outward = chain_of(planner, plan)
         assert chain_cost_um(rules, poses, outward) == pytest.approx(plan.cost_m * 1e6, abs=2)
@@ -63,7 +63,7 @@ def chain_of(planner, plan):
     """Rules of a planner's space, and a plan as a chain on a map whose origin is 0."""
     feet = plan.start_feet_world[:, [0, 1, 3]].copy()
     rules = build_rules(
-        planner._context[1].lattice,
+        planner.goal_context(plan.goal).lattice,
         planner.model,
         feet,
         np.zeros(2, np.int64),
@@ -158,9 +158,8 @@ def test_the_gap_between_feet_is_that_of_the_lattice():
 def test_the_banded_system_is_solved_as_a_dense_one():
     planner = Planner(FLOOR, small_model(), LATTICE)
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
-    assert planner._context is not None
     rng = np.random.default_rng(1)
-    work = new_work(planner._context[1].lattice, len(plan), 0)
+    work = new_work(planner.goal_context(plan.goal).lattice, len(plan), 0)
     size = len(work.right)
     dense, right = np.eye(size), np.zeros(size)
     work.matrix[:, 0] = 1.0
@@ -183,9 +182,7 @@ def test_height_under_a_foot_is_that_of_its_tread_or_none():
     heights[:, 10:] = 0.1
     grid = OccupancyGrid(cells=np.zeros((20, 20), np.uint8), resolution_m=0.1, elevation_m=heights)
     planner = Planner(grid, small_model(), LATTICE)
-    planner.plan(start=(0.4, 0.5, 0.0), goal=(0.5, 1.2, 0.0))
-    assert planner._context is not None
-    lattice = planner._context[1].lattice
+    lattice = planner.goal_context((0.5, 1.2, 0.0)).lattice
     # The foot is 0.2 m long and wants 0.02 m of level ground around it; the edge is at x = 1.
     assert foot_height_um(lattice, np.array([0.87, 1.0, 0.0])) == 0
     assert foot_height_um(lattice, np.array([1.13, 1.0, 0.0])) == 100_000

@@ -105,8 +105,7 @@ def test_the_heuristic_toward_a_region_is_admissible_and_consistent(name):
     model = small_model()
     planner = Planner(grid, model, within(REACH))
     assert planner.plan(start=start, goal=goal).found
-    assert planner._context is not None
-    context = planner._context[1]
+    context = planner.goal_context(goal)
     lattice, heuristic, oracle = context.lattice, context.heuristic, Oracle(grid, model, goal)
     rows = 2 * lattice.headings
 

@@ -14,8 +14,8 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
-from planner.search.ad_star_tree import step_um
-from planner.search.best_first import FROM_START
+from planner.search.ad_star_tree import edge_cost_um
+from planner.search.best_first import ROOT
 from planner.verify import violations
 from tests.planner_floor import CASES, walled
 from tests.planner_oracle import Oracle, small_model
@@ -111,17 +111,16 @@ def test_what_is_kept_of_a_tree_is_what_the_changed_map_allows(seed):
         planner.plan(start=(0.55, 0.6, 0.3), goal=goal)
         grid = changed(grid, rng, (0.5, 0.5, 0.0), rng.random() < 0.5)
         planner.take_map(grid)
-        assert planner._context is not None
-        context = planner._context[1]
+        context = planner.goal_context(goal)
         tree = context.memory["adstar"].tree
         slots = slots_of(tree.slots, np.arange(context.lattice.nodes))
-        cost_um, came_from = tree.cost_um[slots], tree.before[slots]
+        cost_um, came_from = tree.cost_um[slots], tree.parent[slots]
         known = np.flatnonzero(cost_um)
         kept += len(known)
         for node in known:
             before = int(came_from[node])
-            if before != FROM_START:
-                step = step_um(context.lattice, tree, before, int(node))
+            if before != ROOT:
+                step = edge_cost_um(context.lattice, tree, before, int(node))
                 assert step > 0
                 assert cost_um[node] >= cost_um[before] + step
     assert kept > 500

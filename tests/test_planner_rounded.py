@@ -20,9 +20,8 @@ from planner.heuristics.rounded_plans import (
 from planner.options import PlannerOptions
 from planner.planner import plan_footsteps
 from planner.search import ara_star
-from planner.search.ara_star import sharpened
-from planner.search.problem import first_nodes
-from planner.search.search_task import forward_task
+from planner.search.ara_star import with_rounded_bound
+from planner.search.problem import forward_task
 from tests.planner_floor import CASES, fine_model, scatter
 from tests.planner_oracle import Oracle, oracle_node, small_model
 from tests.test_planner_heuristic import request_of
@@ -124,13 +123,13 @@ def test_no_bound_is_too_high_for_plans_below_the_limit_on_random_floors(seed):
     model = small_model()
     start, goal = (0.4, 0.5, rng.uniform(-3, 3)), (1.9, 1.9, rng.uniform(-3, 3))
     oracle, request = Oracle(grid, model, goal), request_of(grid, model, start, goal)
-    nodes, costs_um = first_nodes(request)
+    nodes, costs_um = request.first_nodes()
     known = {oracle_node(request.lattice, int(node)) for node in nodes}
     firsts = [(m, node) for m, node in oracle.first_steps(start) if node in known]
     from_m, to_m = oracle.costs_from(firsts), oracle.costs_to_go(start)
     limit_m = 1.2 * min(from_m[node] + to_m[node] for node in from_m.keys() & to_m.keys())
     task = forward_task(request, nodes, costs_um)
-    sharp = sharpened(request, task, round(limit_m * 1e6), lambda: True)
+    sharp = with_rounded_bound(request, task, round(limit_m * 1e6), lambda: True)
     assert sharp is not None
     below = 0
     for node in from_m.keys() & to_m.keys():
@@ -140,7 +139,7 @@ def test_no_bound_is_too_high_for_plans_below_the_limit_on_random_floors(seed):
     assert below > 20
 
 
-def test_a_sharpened_search_finds_the_optimum_with_fewer_states(monkeypatch):
+def test_a_with_rounded_bound_search_finds_the_optimum_with_fewer_states(monkeypatch):
     model = fine_model(clearance_cost_m=0.0, clearance_m=0.0)
     options = PlannerOptions(epsilon=1.2, improve_expansions=None, refine=False)
     blunt, sharp = 0, 0
@@ -152,9 +151,9 @@ def test_a_sharpened_search_finds_the_optimum_with_fewer_states(monkeypatch):
         start, goal = (0.5, 0.5, rng.uniform(-3, 3)), (2.7, 2.6, rng.uniform(-3, 3))
         for reach_m in (0.0, 0.15):
             asked = replace(options, goal_reach_m=reach_m)
-            monkeypatch.setattr(ara_star, "_BLUNT", 10**9)
+            monkeypatch.setattr(ara_star, "_ROUNDED_EXPANSIONS", 10**9)
             first = plan_footsteps(grid, model, start=start, goal=goal, options=asked)
-            monkeypatch.setattr(ara_star, "_BLUNT", 0)
+            monkeypatch.setattr(ara_star, "_ROUNDED_EXPANSIONS", 0)
             second = plan_footsteps(grid, model, start=start, goal=goal, options=asked)
             assert first.epsilon == second.epsilon == 1.0
             assert second.cost_m == pytest.approx(first.cost_m, abs=1e-9)
@@ -165,8 +164,8 @@ def test_a_sharpened_search_finds_the_optimum_with_fewer_states(monkeypatch):
 def test_a_grid_that_would_be_too_large_and_one_that_takes_too_long_are_left(monkeypatch):
     grid, start, goal = CASES["wall"]
     request = request_of(grid, small_model(), start, goal)
-    task = forward_task(request, *first_nodes(request))
-    assert sharpened(request, task, FAR_UM, lambda: True) is not None
-    assert sharpened(request, task, FAR_UM, lambda: False) is None
+    task = forward_task(request, *request.first_nodes())
+    assert with_rounded_bound(request, task, FAR_UM, lambda: True) is not None
+    assert with_rounded_bound(request, task, FAR_UM, lambda: False) is None
     monkeypatch.setattr(rounded_plans, "MOST_STATES", 1000)
-    assert sharpened(request, task, FAR_UM, lambda: True) is None
+    assert with_rounded_bound(request, task, FAR_UM, lambda: True) is None

@@ -112,9 +112,9 @@ def test_the_record_of_a_search_falls_in_cost_rises_in_bound_and_ends_with_the_p
     assert record is not None
     assert np.all(np.diff(record.time_s) >= 0)
     assert np.all(np.diff(record.cost_m) <= 0)
-    assert np.all(record.least_m <= plan.cost_m + 1e-9)
+    assert np.all(record.lower_bound_m <= plan.cost_m + 1e-9)
     assert record.cost_m[-1] == pytest.approx(plan.cost_m, abs=1e-6)
-    assert record.least_m[-1] == pytest.approx(plan.cost_m / plan.epsilon, abs=1e-5)
+    assert record.lower_bound_m[-1] == pytest.approx(plan.cost_m / plan.epsilon, abs=1e-5)
     x_m, y_m, states = record.expanded.T
     # States of the quick search that goes first are not in the tree that the record shows.
     assert 0 < states.sum() <= plan.expansions

@@ -30,7 +30,7 @@ from app.pictures.canvas import (
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
 from planner.robot_model import FootShape, Side, StepModel
-from planner.search.problem import SearchRecord
+from planner.search.search_record import SearchRecord
 
 # A band below a picture that says what it shows: a title and what the colours mean.
 
@@ -264,7 +264,11 @@ def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
     time_ms = 1e3 * record.time_s
     found = np.isfinite(record.cost_m)
     axes.step(time_ms[found], record.cost_m[found], where="post", label="cost of the best plan")
-    bound_m = np.maximum.accumulate(record.least_m) if len(record.least_m) else record.least_m
+    bound_m = (
+        np.maximum.accumulate(record.lower_bound_m)
+        if len(record.lower_bound_m)
+        else record.lower_bound_m
+    )
     axes.step(time_ms, bound_m, where="post", label="any plan costs at least")
     if plan.cost_before_refinement_m is not None:
         label = "the same, refined off the lattice"

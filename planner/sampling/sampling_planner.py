@@ -49,11 +49,10 @@ from planner.search.problem import (
     Request,
     Result,
     failure,
-    first_nodes,
+    no_body_path,
     no_first_step,
-    no_way,
 )
-from planner.search.reachability import Verdict, new_flood, spread
+from planner.search.reachability import expand_both, new_flood, why_enclosed
 
 # Lattice searches on a part of the map: across a gap in a walk, or in a corridor along a line.
 #
@@ -266,28 +265,22 @@ def search_along(errand: Errand, path: FloatArray) -> tuple[Footsteps | None, in
 # What proves, without a plan and without a full search, that no steps lead to the goal.
 
 _NODES = 1 << 17  # that each flood goes on from
-_BEGIN = "the goal cannot be reached: "
 
 
 def is_shut(request: Request) -> str:
     """Why there is no way as the search of the body's path knows it; empty if that is unknown."""
-    nodes, _ = first_nodes(request)
+    nodes, _ = request.first_nodes()
     if not len(nodes):
         return no_first_step(request).reason
-    return no_way().reason if is_cut_off(request, nodes) else ""
+    return no_body_path().reason if is_cut_off(request, nodes) else ""
 
 
 def how_enclosed(request: Request) -> str:
     """What floods of the lattice prove to enclose the start or the goal; empty if unknown."""
     lattice = request.lattice
-    flood = new_flood(lattice, first_nodes(request)[0], request.context.ends)
-    flood, verdict = spread(lattice, flood, _NODES)
-    poses = int(flood.ends[1] + flood.ends[3])
-    if verdict is Verdict.GOAL_ENCLOSED:
-        return f"{_BEGIN}obstacles leave no steps from outside to the goal ({poses} poses tried)"
-    if verdict is Verdict.START_ENCLOSED:
-        return f"{_BEGIN}obstacles leave no steps out from the start ({poses} poses tried)"
-    return ""
+    flood = new_flood(lattice, request.first_nodes()[0], request.context.ends)
+    flood, verdict = expand_both(lattice, flood, _NODES)
+    return why_enclosed(verdict, flood) if verdict.is_enclosed else ""
 
 
 _NEAR_M = 0.5  # how far from the start the body's path may begin

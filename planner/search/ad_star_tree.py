@@ -1,8 +1,8 @@
-"""Mending a kept search tree after a change of the map, compiled.
+"""Edits of the AD* search tree: add a path, reopen nodes, repair it after a map change. Compiled.
 
-A node whose step from the one before it is no longer allowed, or costs more, is cut off with all
-that hangs on it. What borders on the cut is open again, and so is what may lower others where
-something became free: the search then finds the rest anew.
+A map change invalidates edges of the tree: a node whose edge is no longer allowed, or costs more,
+is removed with its whole subtree. Neighbours of removed nodes are reopened, and so are nodes that
+may lower others where cells became free; the search then finds the rest anew.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from planner.lattice.lattice import (
     D_HALF,
     D_NODE,
     HALF_HEADING,
+    Int64s,
     Lattice,
     clearance_cost,
     half_clearance,
@@ -25,29 +26,50 @@ from planner.lattice.lattice import (
     pair_known_free,
     step_climbs,
 )
-from planner.search import best_first as search
-from planner.search.best_first import BUCKETS, FROM_START, NO_COST, Tree
+from planner.search.best_first import (
+    BEST_NODE,
+    BEST_UM,
+    BUCKETS,
+    CURSOR,
+    INCONS,
+    ITERATION,
+    NO_COST,
+    ROOT,
+    SPARE,
+    USED,
+    Tree,
+    push_entry,
+)
 
-# What is done to a kept search tree apart from searching, compiled.
-
+Nodes = NDArray[np.int32]
+_MARK = 255  # of `Tree.closed_in`: no iteration has this number
 _NOT_ALLOWED = -1
 
 
+@njit_arrays
+def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
+    """Cost of nodes (n,) from the roots in micrometres, 0 where unreached."""
+    costs_um = np.empty(len(nodes), np.int64)
+    for i in range(len(nodes)):
+        costs_um[i] = tree.cost_um[slot_of(tree.slots, nodes[i])]
+    return costs_um
+
+
 @njit_no_refcount
-def find_best(tree: Tree) -> None:
-    """Notes the goal of the tree that gives the cheapest plan, if the tree has come to any."""
+def find_best_goal(tree: Tree) -> None:
+    """Notes the cost and last node of the cheapest plan in the tree, if it has reached a goal."""
     scalars = tree.scalars
-    scalars[search.BEST_UM], scalars[search.BEST_NODE] = NO_COST, 0
+    scalars[BEST_UM], scalars[BEST_NODE] = NO_COST, 0
     for i in range(len(tree.goals)):
         known = np.int64(tree.cost_um[slot_of(tree.slots, tree.goals[i])])
-        if known != 0 and known + tree.goal_um[i] < scalars[search.BEST_UM]:
-            scalars[search.BEST_UM] = known + tree.goal_um[i]
-            scalars[search.BEST_NODE] = tree.goals[i]
+        if known != 0 and known + tree.goal_um[i] < scalars[BEST_UM]:
+            scalars[BEST_UM] = known + tree.goal_um[i]
+            scalars[BEST_NODE] = tree.goals[i]
 
 
 @njit_no_refcount
-def shift_um(lattice: Lattice, heuristic: Heuristic, tree: Tree) -> int:
-    """By how much a heuristic must be lowered to hold for the first steps that are the goals."""
+def heuristic_shift_um(lattice: Lattice, heuristic: Heuristic, tree: Tree) -> int:
+    """By how much a heuristic must be lowered to hold for the goals, which are first steps."""
     shift = -NO_COST
     for i in range(len(tree.goals)):
         value = estimate(lattice, heuristic, tree.goals[i]) - tree.goal_um[i]
@@ -56,8 +78,8 @@ def shift_um(lattice: Lattice, heuristic: Heuristic, tree: Tree) -> int:
 
 
 @njit_no_refcount
-def step_um(lattice: Lattice, tree: Tree, node: int, to: int) -> int:
-    """Cost of the step of the tree that joins two nodes; below 0 where it is not allowed."""
+def edge_cost_um(lattice: Lattice, tree: Tree, node: int, to: int) -> int:
+    """Cost of the tree's edge between two nodes; below 0 where it is not allowed."""
     row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
     steps = tree.steps
     for k in range(steps.shape[1]):
@@ -82,28 +104,30 @@ def step_um(lattice: Lattice, tree: Tree, node: int, to: int) -> int:
 
 
 @njit_no_refcount
-def graft(lattice: Lattice, tree: Tree, nodes: NDArray[np.int64]) -> None:
-    """Lowers the costs of a way's nodes (n,), in the order of the steps, to what it costs.
+def add_path(lattice: Lattice, tree: Tree, nodes: NDArray[np.int64]) -> None:
+    """Lowers the costs of a path's nodes (n,), in the order of its steps, to those along it.
 
-    Those that fall are open again.
+    Nodes whose cost falls are reopened.
     """
     for i in range(len(nodes) - 1, 0, -1):
         node, to = nodes[i], nodes[i - 1]
-        cost = np.int64(tree.cost_um[slot_of(tree.slots, node)]) + step_um(lattice, tree, node, to)
+        cost = np.int64(tree.cost_um[slot_of(tree.slots, node)]) + edge_cost_um(
+            lattice, tree, node, to
+        )
         slot = take_slot(tree.slots, to)
         known = np.int64(tree.cost_um[slot])
         if known == 0 or cost < known:
             tree.cost_um[slot] = cost
-            tree.before[slot] = node
-            search.put(tree, to, BUCKETS)
+            tree.parent[slot] = node
+            push_entry(tree, to, INCONS)
 
 
 @njit_arrays
-def renew(tree: Tree) -> None:
-    """Counts rounds from 0 again, and drops entries of nodes that are not open or not known."""
+def reset_iterations(tree: Tree) -> None:
+    """Numbers iterations from 0 again, and drops queue entries of closed or unreached nodes."""
     scalars, head = tree.scalars, tree.head
-    done = np.uint8(scalars[search.ROUND])
-    kept = np.empty(scalars[search.USED], np.int32)
+    done = np.uint8(scalars[ITERATION])
+    kept = np.empty(scalars[USED], np.int32)
     number = 0
     for bucket in range(BUCKETS + 1):
         entry = head[bucket]
@@ -112,37 +136,33 @@ def renew(tree: Tree) -> None:
             node = tree.entry_node[entry]
             entry = tree.entry_next[entry]
             slot = slot_of(tree.slots, node)
-            closed = bucket < BUCKETS and tree.round[slot] == done
+            closed = bucket < BUCKETS and tree.closed_in[slot] == done
             if not closed and tree.cost_um[slot] != 0:
                 kept[number] = node
                 number += 1
-    tree.round[: tree.slots.used[0] + 1 << BITS] = 0
-    scalars[search.ROUND] = 0
-    scalars[search.USED] = scalars[search.SPARE] = 0
-    scalars[search.CURSOR] = BUCKETS
+    tree.closed_in[: tree.slots.used[0] + 1 << BITS] = 0
+    scalars[ITERATION] = 0
+    scalars[USED] = scalars[SPARE] = 0
+    scalars[CURSOR] = BUCKETS
     for i in range(number):
         slot = slot_of(tree.slots, kept[i])
-        if tree.round[slot] == 0:
-            tree.round[slot] = 1
-            search.put(tree, kept[i], BUCKETS)
+        if tree.closed_in[slot] == 0:
+            tree.closed_in[slot] = 1
+            push_entry(tree, kept[i], INCONS)
     for i in range(number):
-        tree.round[slot_of(tree.slots, kept[i])] = 0
+        tree.closed_in[slot_of(tree.slots, kept[i])] = 0
 
 
 @njit_no_refcount
 def reopen(tree: Tree, nodes: NDArray[np.int32]) -> None:
-    """Makes known nodes (n,) open; there must be room for them."""
+    """Opens nodes (n,) of the tree; the queue must have room for them."""
     for i in range(len(nodes)):
-        search.put(tree, nodes[i], BUCKETS)
-
-
-Nodes = NDArray[np.int32]
-_MARK = 255  # of `Tree.round`, which no round has
+        push_entry(tree, nodes[i], INCONS)
 
 
 @njit_arrays
-def cut(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
-    """Takes out of the tree what a change near some cells (n,) cuts off; the nodes taken out."""
+def remove_invalid(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
+    """Removes nodes in cells (n,) whose edge is invalid, with their subtrees; the removed nodes."""
     rows = 2 * lattice.headings
     removed = np.empty(1 << 10, np.int32)
     number = 0
@@ -151,7 +171,7 @@ def cut(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
             node: int = cells[i] * rows + row
             slot = slot_of(tree.slots, node)
             known: int = np.int64(tree.cost_um[slot])  # type: ignore[assignment]
-            if known == 0 or _stands(lattice, tree, node, known):
+            if known == 0 or _is_still_reached(lattice, tree, node, known):
                 continue
             removed = _with_room(removed, number)
             removed[number] = node
@@ -167,7 +187,7 @@ def cut(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
             slot = slot_of(tree.slots, to)
             if tree.steps[row, k, COST_UM] == 0 or tree.cost_um[slot] == 0:
                 continue
-            if tree.before[slot] == node:
+            if tree.parent[slot] == node:
                 removed = _with_room(removed, number)
                 removed[number] = to
                 number += 1
@@ -176,32 +196,32 @@ def cut(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> Nodes:
 
 
 @njit_no_refcount
-def _stands(lattice: Lattice, tree: Tree, node: int, known: int) -> bool:
-    """Whether a node can still be reached from the one before it, and for no more.
+def _is_still_reached(lattice: Lattice, tree: Tree, node: int, known: int) -> bool:
+    """Whether the edge to a node is still allowed and costs no more.
 
-    That one may have been cut off itself, and the node then follows it.
+    True if its parent has been removed: the node then is removed as a part of that subtree.
     """
     slot = slot_of(tree.slots, node)
-    before: int = np.int64(tree.before[slot])  # type: ignore[assignment]
-    if before == FROM_START:
+    before: int = np.int64(tree.parent[slot])  # type: ignore[assignment]
+    if before == ROOT:
         return may_end_at(lattice, node)
     cost_before_um = tree.cost_um[slot_of(tree.slots, before)]
     if cost_before_um == 0:
         return True
-    cost = step_um(lattice, tree, before, node)
+    cost = edge_cost_um(lattice, tree, before, node)
     return cost >= 0 and cost_before_um + cost <= known
 
 
 @njit_arrays
-def border(
+def nodes_to_reopen(
     lattice: Lattice,
     tree: Tree,
     removed: Nodes,
     cells: NDArray[np.int64],
 ) -> Nodes:
-    """Known nodes (n,) from which steps may lead to removed ones, or lower others from some cells.
+    """Nodes (n,) of the tree with an edge to a removed one; in cells (m,), with one that lowers.
 
-    Rounds must have been counted anew (see `graft.renew`).
+    Iterations must have been reset.
     """
     rows, steps = 2 * lattice.headings, lattice.steps
     found = np.empty(1 << 10, np.int32)
@@ -211,13 +231,17 @@ def border(
         if not node_free(lattice, node):
             continue
         row = node % rows
-        # The tree grows from the goal, so the steps of the robot lead back in it.
+        # The tree grows from the goal, so the steps of the robot lead toward its roots.
         for k in range(steps.shape[1]):
             near = node + steps[row, k, D_NODE]
             slot = slot_of(tree.slots, near)
-            if steps[row, k, COST_UM] == 0 or tree.cost_um[slot] == 0 or tree.round[slot] == _MARK:
+            if (
+                steps[row, k, COST_UM] == 0
+                or tree.cost_um[slot] == 0
+                or tree.closed_in[slot] == _MARK
+            ):
                 continue
-            tree.round[slot] = _MARK
+            tree.closed_in[slot] = _MARK
             found = _with_room(found, number)
             found[number] = near
             number += 1
@@ -225,21 +249,21 @@ def border(
         for row in range(rows):
             node = cells[i] * rows + row
             slot = slot_of(tree.slots, node)
-            if tree.cost_um[slot] == 0 or tree.round[slot] == _MARK:
+            if tree.cost_um[slot] == 0 or tree.closed_in[slot] == _MARK:
                 continue
-            if _may_lower(lattice, tree, node, tree.cost_um[slot]):
-                tree.round[slot] = _MARK
+            if _can_lower_successor(lattice, tree, node, tree.cost_um[slot]):
+                tree.closed_in[slot] = _MARK
                 found = _with_room(found, number)
                 found[number] = node
                 number += 1
     for i in range(number):
-        tree.round[slot_of(tree.slots, found[i])] = 0
+        tree.closed_in[slot_of(tree.slots, found[i])] = 0
     return found[:number]
 
 
 @njit_no_refcount
-def _may_lower(lattice: Lattice, tree: Tree, node: int, cost_um: int) -> bool:
-    """Whether a step from a node would come to a free one that is not known, or is for less."""
+def _can_lower_successor(lattice: Lattice, tree: Tree, node: int, cost_um: int) -> bool:
+    """Whether an edge from a node would reach a free one that is unreached or costs more."""
     row = node % (2 * lattice.headings)
     for k in range(tree.steps.shape[1]):
         if tree.steps[row, k, COST_UM] == 0:

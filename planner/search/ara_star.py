@@ -1,4 +1,8 @@
-"""One ARA* run: rounds of falling epsilon, limits, floods, and the plan or why there is none."""
+"""ARA*, A* and backward ARA*: iterations of falling epsilon over the footstep lattice.
+
+After Likhachev, Gordon and Thrun, "ARA*: Anytime A* with Provable Bounds on Sub-Optimality", 2003.
+A search without a plan alternates with a reachability search, which may prove that there is none.
+"""
 
 from __future__ import annotations
 
@@ -9,319 +13,221 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.heuristics.heuristic import tables_of
 from planner.heuristics.rounded_plans import rounded_costs, rounded_steps
 from planner.heuristics.wavefront import NOWHERE_UM
-from planner.lattice.lattice import Int64s
+from planner.lattice.lattice import Int64s, Lattice, node_free
 from planner.lattice.steps import MICRO
 from planner.options import FULL, PlannerOptions
 from planner.plan import PlanStatus
-from planner.search import best_first as search
-from planner.search.best_first import Tree, expanded_in_cells, trace
-from planner.search.coarse_to_fine import least_straight, on_coarse, on_fine
-from planner.search.first_plan import NO_WAY, QuickPath, is_cut_off, quick_path
+from planner.robot_model import StepModel
+from planner.search.best_first import (
+    BEST_NODE,
+    BEST_UM,
+    EXHAUSTED,
+    EXPANSIONS,
+    FINISHED,
+    IMPROVED,
+    NO_COST,
+    OUT_OF_ENTRIES,
+    Tree,
+    expand,
+    start_iteration,
+    trace,
+    with_longer_queue,
+)
+from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan, is_cut_off
 from planner.search.problem import (
     Request,
     Result,
-    SearchRecord,
-    failure,
-    first_nodes,
-    found,
-    no_first_step,
-    no_way,
-)
-from planner.search.reachability import Flood, Verdict, new_flood, spread
-from planner.search.search_task import (
-    Task,
+    SearchTask,
     backward_task,
+    failure,
     forward_task,
-    heuristic_toward_start,
-    least_toward_goal,
+    heuristic_to_start,
+    no_body_path,
+    no_first_step,
+    result_of,
 )
+from planner.search.reachability import Flood, Verdict, expand_both, new_flood, why_enclosed
+from planner.search.search_record import Recorder
 
-# A search goes on with the bound of `rounded.py`, once it is worth what that takes to make.
-
-_SPACING_M = 0.03  # at least
-
-
-def sharpened(
-    request: Request, task: Task, limit_um: int, go_on: Callable[[], bool]
-) -> Task | None:
-    """A search from the start with a sharper bound, good for plans that cost less than limit_um.
-
-    None where the grid would be too large, or as soon as go_on says so.
-    """
-    lattice, tables = task.lattice, request.context.tables
-    # Most steps are whole cells, and what is a whole number of the grid's as well is not rounded.
-    spacing_m = math.ceil(_SPACING_M / lattice.cell_m - 1e-9) * lattice.cell_m
-    behind = heuristic_toward_start(request, task.roots, task.root_um)
-    start_um = np.where(
-        behind.cost_um > 0, behind.cost_um - 1 + int(behind.potential_um.min()), NOWHERE_UM
-    )
-    steps = rounded_steps(request.model, tables.steps, tables.potential, spacing_m)
-    rounded = rounded_costs(
-        lattice, request.model, steps, spacing_m, request.context.ends, start_um, limit_um, go_on
-    )
-    if rounded is None:
-        return None
-    # The bound by the rim of a circle adds nothing to this one: all is within the circle.
-    everywhere = lattice.cols + lattice.rows
-    heuristic = task.heuristic._replace(rounded=rounded, radius_cells=everywhere)
-    return replace(task, heuristic=heuristic)
-
-
-_QUICK = -1  # in place of a node: the plan that was found before the search proper
-# Expansions after which a search for a proof is given a sharper bound, which takes long to make.
-_BLUNT = 2_000_000
-_BUDGET = 4096  # expansions between two looks at the clock
-# A search that has no plan after so many expansions takes turns with the floods from start and
-# goal, which may find that there is none: so many expansions against so many nodes of each flood,
-# which double from turn to turn, because the longer there is no plan the likelier there is none.
+_FIRST = -1  # in place of a node: the best plan is the one that was found before this search
+_CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock
+# A search without a plan after _PATIENCE expansions alternates with the floods: _TURN expansions,
+# then _FLOOD_TURN nodes of each flood, which double up to _FLOOD_TURN_MOST, because the longer
+# there is no plan the likelier there is none.
 _PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
 
+# The bound of rounded plans takes long to make: after so many expansions, on grids from so wide.
+_ROUNDED_EXPANSIONS = 2_000_000
+_ROUNDED_SPACING_M = 0.03
 
-_ENCLOSED = {
-    Verdict.GOAL_ENCLOSED: "obstacles leave no steps from outside to the goal",
-    Verdict.START_ENCLOSED: "obstacles leave no steps out from the start",
-}
+# Lattices of finer cells are first searched on one of coarse cells, with so many expansions.
+_FINE_CELL_M, _COARSE_CELL_M = 0.03, 0.05
+_COARSE_EXPANSIONS = 1_000_000
 
 
-class Run:
-    """The rounds of one search and the limits on them."""
+class AraStar:
+    """One search: its iterations, limits, bound and record."""
 
     def __init__(self, request: Request, options: PlannerOptions, began: float) -> None:
         self.request = request
         self.options = options
         self.began = began
         self.time_to_first_s = 0.0
-        self.least_um = 0
-        self.open_um = 0  # no open state's cost and heuristic is less
+        self.lower_bound_um = 0
+        self.open_bound_um = 0  # no open state's cost + heuristic is less
         self.proven = math.inf
         self.first_expansions = 0
         self.verdict = Verdict.OPEN
-        self.task: Task
+        self.task: SearchTask
         self.tree: Tree
-        self._quick: QuickPath | None = None
-        self._is_sharp = False
-        self._spent = 0  # expansions before the search proper
+        self._first: FirstPlan | None = None
+        self._has_rounded_bound = False
+        self._spent = 0  # expansions before this search
         self._flood: Flood | None = None
         self._flood_turn = _FLOOD_TURN
-        self._moments: list[tuple[float, float, float]] = []
+        self._recorder = Recorder(began) if options.record else None
 
-    def take(self, quick: QuickPath) -> None:
-        """Takes over a plan that was found before the search proper."""
-        self._quick = quick
-        self.begin_with(quick.cost_um, quick.least_um, quick.expansions)
+    def start_with(self, first: FirstPlan) -> None:
+        """Takes over a plan that was found before this search."""
+        self._first = first
+        self.note_known_plan(first.cost_um, first.lower_bound_um, first.expansions)
 
-    def begin_with(self, cost_um: int, least_um: int, expansions: int) -> None:
-        """Takes into account that there is a plan of this cost; NO_COST if there is none.
+    def note_known_plan(self, cost_um: int, lower_bound_um: int, expansions: int) -> None:
+        """Notes the cost of a known plan, NO_COST if there is none, and a bound on all plans.
 
-        least_um: what any plan costs at least. expansions: how many it took to know that.
+        expansions: so many were spent on both.
         """
-        self._spent, self.least_um = expansions, least_um
-        if cost_um < search.NO_COST:
+        self._spent, self.lower_bound_um = expansions, lower_bound_um
+        if cost_um < NO_COST:
             self.time_to_first_s = time.perf_counter() - self.began
-            self.proven = cost_um / min(cost_um, max(least_um, 1))
-            self._note_moment(cost_um)
+            self.proven = _ratio(cost_um, lower_bound_um)
+            self._record_moment(cost_um)
 
-    def quick_result(self) -> Result:
+    def first_result(self) -> Result:
         """The plan that was taken over."""
-        assert self._quick is not None
-        return self._found(self._quick.nodes, self._quick.cost_um, self._quick.expansions)
+        assert self._first is not None
+        return self._result(self._first.nodes, self._first.cost_um, self._first.expansions)
 
-    def result(self, task: Task, tree: Tree | None = None) -> Result:
-        """Runs all rounds, from a fresh tree unless one is given, and reads the plan from it."""
+    def run(self, task: SearchTask, tree: Tree | None = None) -> Result:
+        """Runs all iterations, on a new tree unless one is given; the plan or why there is none."""
         self.task, self.tree = task, tree or task.tree()
         scalars = self.tree.scalars
-        if self._quick is not None and self._quick.cost_um < scalars[search.BEST_UM]:
-            scalars[search.BEST_UM], scalars[search.BEST_NODE] = self._quick.cost_um, _QUICK
-        if not task.may_connect:
-            return no_way()
+        if self._first is not None and self._first.cost_um < scalars[BEST_UM]:
+            scalars[BEST_UM], scalars[BEST_NODE] = self._first.cost_um, _FIRST
+        if not task.is_connected:
+            return no_body_path()
         epsilon = self.options.epsilon
-        while self._round(epsilon):
+        while self._improve_path(epsilon):
             epsilon = _next_epsilon(epsilon)
-        if self._best_um < search.NO_COST:
+        if self._best_um < NO_COST:
             return self._best_plan()
-        return replace(self._no_plan(), record=self._record())
+        return self._recorded(self._no_plan())
 
-    def _no_plan(self) -> Result:
-        expansions = self._expansions
-        if self.verdict in _ENCLOSED:
-            assert self._flood is not None
-            poses = int(self._flood.ends[1] + self._flood.ends[3])
-            reason = f"the goal cannot be reached: {_ENCLOSED[self.verdict]} ({poses} poses tried)"
-            return failure(PlanStatus.NO_PATH, reason, expansions)
-        if self._limit_reached():
-            self._tighten_bound()
-            reason = (
-                f"no plan found within {self._limit_reached()}; "
-                f"any plan costs at least {self.least_um / MICRO:.2f} m"
-            )
-            return failure(PlanStatus.TIMED_OUT, reason, expansions)
-        reason = (
-            "the goal cannot be reached: all poses that steps lead to were searched "
-            f"({expansions} expansions)"
-        )
-        return failure(PlanStatus.NO_PATH, reason, expansions)
-
-    def _best_plan(self) -> Result:
-        self._tighten_bound()
-        self.least_um = int(self._best_um / self.proven)
-        self._note_moment(self._best_um)
-        plan = self._found(self._best_nodes(), self._best_um, self._expansions)
-        return replace(plan, record=self._record())
-
-    def _best_nodes(self) -> Int64s:
-        last = int(self.tree.scalars[search.BEST_NODE])
-        if last == _QUICK:
-            assert self._quick is not None
-            return self._quick.nodes
-        return self.task.in_order(trace(self.tree, last))
-
-    def best(self) -> QuickPath | None:
-        """The best plan after `result`, if there is one."""
-        if self._best_um == search.NO_COST:
+    def best(self) -> FirstPlan | None:
+        """The best plan after `run`, if there is one."""
+        if self._best_um == NO_COST:
             return None
-        return QuickPath(
+        return FirstPlan(
             nodes=self._best_nodes(),
             cost_um=self._best_um,
-            least_um=self.least_um,
+            lower_bound_um=self.lower_bound_um,
             expansions=self._expansions,
         )
 
-    def _note_moment(self, best_um: int) -> None:
-        if self.options.record:
-            cost_m = best_um / MICRO if best_um < search.NO_COST else math.inf
-            elapsed_s = time.perf_counter() - self.began
-            self._moments.append((elapsed_s, cost_m, self.least_um / MICRO))
-
-    def _record(self) -> SearchRecord | None:
-        """How the search went, if that is asked."""
-        if not self.options.record:
-            return None
-        lattice = self.task.lattice
-        done = expanded_in_cells(lattice, self.tree)
-        cell = np.flatnonzero(done)
-        x_m = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
-        y_m = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m
-        moments = np.array(self._moments).reshape(-1, 3)
-        return SearchRecord(
-            time_s=moments[:, 0],
-            cost_m=moments[:, 1],
-            least_m=moments[:, 2],
-            expanded=np.column_stack([x_m, y_m, done[cell]]),
-        )
-
-    def _found(self, nodes: Int64s, cost_um: int, expansions: int) -> Result:
-        return found(
-            self.request,
-            nodes,
-            cost_um=cost_um,
-            epsilon=self.proven,
-            expansions=expansions,
-            time_to_first_s=self.time_to_first_s,
-        )
-
-    @property
-    def _best_um(self) -> int:
-        return int(self.tree.scalars[search.BEST_UM])
-
-    @property
-    def _expansions(self) -> int:
-        return self._spent + int(self.tree.scalars[search.EXPANSIONS])
-
-    def _round(self, epsilon: float) -> bool:
-        """One search with a weight; whether another one may follow."""
-        lattice, heuristic = self.task.lattice, self.task.heuristic
-        self._begin_round(epsilon)
-        self._note_moment(self._best_um)
+    def _improve_path(self, epsilon: float) -> bool:
+        """One iteration with a weight; whether another one is to follow."""
+        self._reorder_open(epsilon)
+        self._record_moment(self._best_um)
         if self.proven <= self.options.final_epsilon:
             return False
         while True:
-            if self._may_sharpen(epsilon) and self._sharpen():
+            if self._wants_rounded_bound(epsilon) and self._use_rounded_bound():
                 return True
-            outcome = search.expand(lattice, heuristic, self.tree, epsilon, self._budget())
-            if outcome == search.OUT_OF_ENTRIES:
-                self.tree = search.with_more_entries(self.tree)
-            elif outcome == search.IMPROVED:
-                self._note_moment(self._best_um)
+            task = self.task
+            outcome = expand(task.lattice, task.heuristic, self.tree, epsilon, self._budget())
+            if outcome == OUT_OF_ENTRIES:
+                self.tree = with_longer_queue(self.tree)
+            elif outcome == IMPROVED:
+                self._record_moment(self._best_um)
                 if self.time_to_first_s == 0.0:
                     self.time_to_first_s = time.perf_counter() - self.began
                     self.first_expansions = self._expansions
                 if self.options.stop_at_first:
                     return False
-            elif outcome in (search.FINISHED, search.EXHAUSTED):
-                if self._best_um < search.NO_COST and epsilon == 1.0:
+            elif outcome in (FINISHED, EXHAUSTED):
+                if self._best_um < NO_COST and epsilon == 1.0:
                     self.proven = 1.0
-                    self.open_um = max(self.open_um, self._best_um)
-                return self._best_um < search.NO_COST and self.proven > self.options.final_epsilon
+                    self.open_bound_um = max(self.open_bound_um, self._best_um)
+                return self._best_um < NO_COST and self.proven > self.options.final_epsilon
             if self._limit_reached() or self._improved_enough() or self._is_enclosed():
                 return False
 
-    def _may_sharpen(self, epsilon: float) -> bool:
-        blunt = 0 if self.request.context.coarse is not None else _BLUNT
+    def _reorder_open(self, epsilon: float) -> None:
+        """Orders the open list by a weight; the least g + h of all open states is a bound."""
+        task = self.task
+        self.lower_bound_um = int(start_iteration(task.lattice, task.heuristic, self.tree, epsilon))
+        self.open_bound_um = max(self.open_bound_um, self.lower_bound_um)
+        if self._best_um < NO_COST:
+            self.proven = min(self.proven, _ratio(self._best_um, self.lower_bound_um))
+
+    def _tighten_bound(self) -> None:
+        """Takes the bound of the open states after an iteration that was cut short."""
+        if self.proven > 1.0:
+            self._reorder_open(1.0)
+
+    def _wants_rounded_bound(self, epsilon: float) -> bool:
+        is_fine = self.request.context.coarse is not None
         return (
             epsilon == 1.0
             and self.options.heuristic == FULL
-            and not (self._is_sharp or self.task.is_backward)
-            and self._best_um < search.NO_COST
-            and self._expansions >= blunt
+            and not (self._has_rounded_bound or self.task.is_backward)
+            and self._best_um < NO_COST
+            and self._expansions >= (0 if is_fine else _ROUNDED_EXPANSIONS)
         )
 
-    def _sharpen(self) -> bool:
-        """Looks for a sharper bound, once; whether there is one."""
-        self._is_sharp = True
-        task = sharpened(self.request, self.task, self._best_um, lambda: not self._limit_reached())
+    def _use_rounded_bound(self) -> bool:
+        """Adds the bound of rounded plans to the heuristic, once; whether there is one."""
+        self._has_rounded_bound = True
+        task = with_rounded_bound(
+            self.request, self.task, self._best_um, lambda: not self._limit_reached()
+        )
         if task is None:
             return False
         self.task = task
         return True
 
     def _is_enclosed(self) -> bool:
-        """Whether the floods, if it is their turn, find that no steps lead to the goal."""
+        """Whether the floods, if it is their turn, prove that no steps lead to the goal."""
         if self._may_be_enclosed() and self._expansions >= _PATIENCE:
+            task = self.task
             if self._flood is None:
-                self._flood = self._new_flood()
-            self._flood, self.verdict = spread(self.task.lattice, self._flood, self._flood_turn)
+                ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
+                self._flood = new_flood(task.lattice, *ends)
+            self._flood, self.verdict = expand_both(task.lattice, self._flood, self._flood_turn)
             self._flood_turn = min(2 * self._flood_turn, _FLOOD_TURN_MOST)
-        return self.verdict in _ENCLOSED
-
-    def _new_flood(self) -> Flood:
-        task = self.task
-        ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
-        return new_flood(task.lattice, *ends)
+        return self.verdict.is_enclosed
 
     def _may_be_enclosed(self) -> bool:
-        return self.verdict is Verdict.OPEN and self._best_um == search.NO_COST
-
-    def _tighten_bound(self) -> None:
-        """Takes over what the open states prove now that the search stopped in mid-round."""
-        if self.proven > 1.0:
-            self._begin_round(1.0)
-
-    def _begin_round(self, epsilon: float) -> None:
-        """Orders the open states anew, and takes over what the least g + h of all proves."""
-        lattice, heuristic = self.task.lattice, self.task.heuristic
-        self.least_um = int(search.begin_round(lattice, heuristic, self.tree, epsilon))
-        self.open_um = max(self.open_um, self.least_um)
-        best = self._best_um
-        if best < search.NO_COST:
-            self.proven = min(self.proven, best / min(best, max(self.least_um, 1)))
+        return self.verdict is Verdict.OPEN and self._best_um == NO_COST
 
     def _budget(self) -> int:
-        """Expansions until one of the limits is to be looked at again."""
+        """Expansions until one of the limits is to be checked again."""
         budget = self.options.max_expansions - self._expansions
         if self.options.time_limit_s:
-            budget = min(budget, _BUDGET)
+            budget = min(budget, _CLOCK_EXPANSIONS)
         if self._may_be_enclosed():
             budget = min(budget, max(_TURN, _PATIENCE - self._expansions))
-        if not self._is_sharp and self._expansions < _BLUNT:
-            budget = min(budget, _BLUNT - self._expansions)
+        if not self._has_rounded_bound and self._expansions < _ROUNDED_EXPANSIONS:
+            budget = min(budget, _ROUNDED_EXPANSIONS - self._expansions)
         left = self._left_to_improve()
         return max(0, budget if left is None else min(budget, left))
 
     def _left_to_improve(self) -> int | None:
-        """Expansions left to spend on a better plan than the first; None without a limit."""
-        if self.options.improve_expansions is None or self._best_um == search.NO_COST:
+        """Expansions left for a better plan than the first; None without such a limit."""
+        if self.options.improve_expansions is None or self._best_um == NO_COST:
             return None
         return self.first_expansions + self.options.improve_expansions - self._expansions
 
@@ -338,15 +244,100 @@ class Run:
             return f"{limit_s:g} s"
         return ""
 
+    @property
+    def _best_um(self) -> int:
+        return int(self.tree.scalars[BEST_UM])
+
+    @property
+    def _expansions(self) -> int:
+        return self._spent + int(self.tree.scalars[EXPANSIONS])
+
+    def _best_nodes(self) -> Int64s:
+        last = int(self.tree.scalars[BEST_NODE])
+        if last == _FIRST:
+            assert self._first is not None
+            return self._first.nodes
+        return self.task.in_order(trace(self.tree, last))
+
+    def _best_plan(self) -> Result:
+        self._tighten_bound()
+        self.lower_bound_um = int(self._best_um / self.proven)
+        self._record_moment(self._best_um)
+        plan = self._result(self._best_nodes(), self._best_um, self._expansions)
+        return self._recorded(plan)
+
+    def _no_plan(self) -> Result:
+        expansions = self._expansions
+        if self._flood is not None and self.verdict.is_enclosed:
+            reason = why_enclosed(self.verdict, self._flood)
+            return failure(PlanStatus.NO_PATH, reason, expansions)
+        if self._limit_reached():
+            self._tighten_bound()
+            reason = (
+                f"no plan found within {self._limit_reached()}; "
+                f"any plan costs at least {self.lower_bound_um / MICRO:.2f} m"
+            )
+            return failure(PlanStatus.TIMED_OUT, reason, expansions)
+        reason = (
+            "the goal cannot be reached: all poses that steps lead to were searched "
+            f"({expansions} expansions)"
+        )
+        return failure(PlanStatus.NO_PATH, reason, expansions)
+
+    def _result(self, nodes: Int64s, cost_um: int, expansions: int) -> Result:
+        return result_of(
+            self.request,
+            nodes,
+            cost_um=cost_um,
+            epsilon=self.proven,
+            expansions=expansions,
+            time_to_first_s=self.time_to_first_s,
+        )
+
+    def _record_moment(self, best_um: int) -> None:
+        if self._recorder is not None:
+            self._recorder.note(best_um, self.lower_bound_um)
+
+    def _recorded(self, result: Result) -> Result:
+        if self._recorder is None:
+            return result
+        return replace(result, record=self._recorder.record(self.task.lattice, self.tree))
+
+
+def _ratio(cost_um: int, lower_bound_um: int) -> float:
+    """The proven bound on cost / optimum."""
+    return cost_um / min(cost_um, max(lower_bound_um, 1))
+
 
 def _next_epsilon(epsilon: float) -> float:
     """The next weight: two fifths of what is above 1, and 1 itself once that is little."""
     return 1.0 + 0.4 * (epsilon - 1.0) if epsilon > 1.3 else 1.0
 
 
-# The planners that search the lattice anew: ARA* and A* from the start, ARA* from the goal.
+def with_rounded_bound(
+    request: Request, task: SearchTask, limit_um: int, go_on: Callable[[], bool]
+) -> SearchTask | None:
+    """A forward search with the bound of rounded plans, for plans cheaper than limit_um.
 
-_COARSE = 1_000_000  # expansions on a coarse lattice, whose plan helps the search of the fine one
+    None where the grid would be too large, or as soon as go_on returns False.
+    """
+    lattice, tables = task.lattice, request.context.tables
+    # Most steps are whole cells; whole numbers of the grid's spacing need no rounding.
+    spacing_m = math.ceil(_ROUNDED_SPACING_M / lattice.cell_m - 1e-9) * lattice.cell_m
+    behind = heuristic_to_start(request, task.roots, task.root_um)
+    start_um = np.where(
+        behind.cost_um > 0, behind.cost_um - 1 + int(behind.potential_um.min()), NOWHERE_UM
+    )
+    steps = rounded_steps(request.model, tables.steps, tables.potential, spacing_m)
+    rounded = rounded_costs(
+        lattice, request.model, steps, spacing_m, request.context.ends, start_um, limit_um, go_on
+    )
+    if rounded is None:
+        return None
+    # The bound by the rim of a circle adds nothing to this one: all is within the circle.
+    everywhere = lattice.cols + lattice.rows
+    heuristic = task.heuristic._replace(rounded=rounded, radius_cells=everywhere)
+    return replace(task, heuristic=heuristic)
 
 
 def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
@@ -354,104 +345,111 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
 
     began: time.perf_counter() of the request's arrival, from which times count.
     """
-    nodes, costs_um = first_nodes(request)
+    nodes, costs_um = request.first_nodes()
     if not len(nodes):
         return no_first_step(request)
-    run = Run(request, options, began)
-    quick = plan_on_coarse(request, nodes, costs_um, options, began)
-    if quick is not None:
-        run.options = replace(options, epsilon=1.0)  # only the proof is missing
+    search = AraStar(request, options, began)
+    first = _plan_on_coarse_lattice(request, nodes, costs_um, options, began)
+    if first is not None:
+        search.options = replace(options, epsilon=1.0)  # only the proof is missing
     else:
-        quick = quick_plan(request, nodes, costs_um, options)
-    if quick is NO_WAY:
-        return no_way()
-    if quick is not None:
-        run.take(quick)
-        if options.stop_at_first or run.proven <= options.final_epsilon:
-            return run.quick_result()
-    return run.result(forward_task(request, nodes, costs_um))
+        first = find_first_plan(request, nodes, costs_um, options)
+    return improved(search, first, nodes, costs_um)
 
 
-def plan_on_coarse(
-    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions, began: float
-) -> QuickPath | None:
-    """A plan of the coarse lattice, improved there; None where there is none, or no such lattice.
-
-    nodes (n,), costs_um (n,): first steps on the fine lattice.
-    """
-    coarse = on_coarse(request)
-    if coarse is None:
-        return None
-    starts, starts_um = first_nodes(coarse)
-    if not len(starts):
-        return None
-    quick = quick_plan(coarse, starts, starts_um, options)
-    if quick is NO_WAY or (quick is None and options.stop_at_first):
-        return None
-    if not options.stop_at_first:
-        run = Run(coarse, replace(options, max_expansions=_COARSE, record=False), began)
-        if quick is not None:
-            run.take(quick)
-        run.result(forward_task(coarse, starts, starts_um))
-        quick = run.best()
-    if quick is None:
-        return None
-    if request.context.region.is_point:
-        least_um = least_straight(request, nodes, costs_um)
-    else:
-        least_um = least_toward_goal(request, nodes, costs_um)
-    return replace(
-        quick,
-        nodes=on_fine(coarse.lattice, request.lattice, quick.nodes),
-        least_um=min(quick.cost_um, least_um),
-    )
-
-
-def quick_plan(
-    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
-) -> QuickPath | None:
-    """A plan to the goal's own pose, if it is free, with a bound that holds for all that may be.
-
-    NO_WAY where it is the only end and is cut off.
-
-    Where more than the first plan is wanted and the goal is a region there is none: effort would go
-    into improving a plan to its middle, the dearest end to come to.
-    """
-    context = request.context
-    if context.region.is_point:
-        return quick_path(request, nodes, costs_um, options)
-    if not options.stop_at_first:
-        return None
-    if not np.all(np.isin(context.goal_nodes, context.ends)):
-        return None
-    quick = quick_path(request, nodes, costs_um, options)
-    if quick is None or quick is NO_WAY:
-        return None
-    least_um = least_toward_goal(request, nodes, costs_um)
-    return replace(quick, least_um=min(least_um, quick.cost_um))
+def improved(search: AraStar, first: FirstPlan | None, nodes: Int64s, costs_um: Int64s) -> Result:
+    """A first plan, if it is good enough, or what the search from first steps (n,) makes of it."""
+    if first is CUT_OFF:
+        return no_body_path()
+    if first is not None:
+        search.start_with(first)
+        if search.options.stop_at_first or search.proven <= search.options.final_epsilon:
+            return search.first_result()
+    return search.run(forward_task(search.request, nodes, costs_um))
 
 
 def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
-    """One search with the heuristic as it is, until the least cost is proven."""
+    """One search with epsilon 1, until the least cost is proven."""
     options = replace(options, epsilon=1.0, final_epsilon=1.0, improve_expansions=None)
-    return _plan(request, options, began, forward_task)
+    return _plan_without_first(request, options, began, forward_task)
 
 
 def plan_backward(request: Request, options: PlannerOptions, began: float) -> Result:
     """As `plan_ara`, from the goal feet to the first steps."""
-    return _plan(request, options, began, backward_task)
+    return _plan_without_first(request, options, began, backward_task)
 
 
-def _plan(
+def _plan_without_first(
     request: Request,
     options: PlannerOptions,
     began: float,
-    task_of: Callable[[Request, Int64s, Int64s], Task],
+    task_of: Callable[[Request, Int64s, Int64s], SearchTask],
 ) -> Result:
-    """A search of the lattice alone, unless a look at the body's path says that there is no way."""
-    nodes, costs_um = first_nodes(request)
+    nodes, costs_um = request.first_nodes()
     if not len(nodes):
         return no_first_step(request)
     if is_cut_off(request, nodes):
-        return no_way()
-    return Run(request, options, began).result(task_of(request, nodes, costs_um))
+        return no_body_path()
+    return AraStar(request, options, began).run(task_of(request, nodes, costs_um))
+
+
+def coarse_model(model: StepModel) -> StepModel | None:
+    """The robot on a lattice of coarse cells; None if its cells are not fine, or have none such.
+
+    Both lattices are laid out from the goal with the same headings, and a coarse cell is a whole
+    number of fine ones, so a node of the coarse one is a node of the fine one. Steps are rounded to
+    the coarse cells within the limits and have their own cost.
+    """
+    if model.cell_m > _FINE_CELL_M:
+        return None
+    coarse = replace(model, cell_m=round(_COARSE_CELL_M / model.cell_m) * model.cell_m)
+    try:
+        tables_of(coarse)
+    except ValueError:  # no step of some heading and side is within the limits there
+        return None
+    return coarse
+
+
+def nodes_on_fine(coarse: Lattice, fine: Lattice, nodes: Int64s) -> Int64s:
+    """Nodes (n,) of the fine lattice for nodes (n,) of the coarse one."""
+    times = round(coarse.cell_m / fine.cell_m)
+    rows = 2 * fine.headings
+    cell, row = nodes // rows, nodes % rows
+    col = (cell % coarse.cols - coarse.origin_col) * times + fine.origin_col
+    up = (cell // coarse.cols - coarse.origin_row) * times + fine.origin_row
+    found = np.asarray((up * fine.cols + col) * rows + row, np.int64)
+    for node in found:
+        node_free(fine, int(node))  # notes its height
+    return found
+
+
+def _plan_on_coarse_lattice(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions, began: float
+) -> FirstPlan | None:
+    """A plan improved on the coarse lattice; None without one, or without such a lattice.
+
+    nodes (n,), costs_um (n,): first steps on the fine lattice.
+    """
+    if request.context.coarse is None:
+        return None
+    coarse = replace(request, context=request.context.coarse)
+    starts, starts_um = coarse.first_nodes()
+    if not len(starts):
+        return None
+    first = find_first_plan(coarse, starts, starts_um, options)
+    if first is CUT_OFF or (first is None and options.stop_at_first):
+        return None
+    if not options.stop_at_first:
+        limited = replace(options, max_expansions=_COARSE_EXPANSIONS, record=False)
+        search = AraStar(coarse, limited, began)
+        if first is not None:
+            search.start_with(first)
+        search.run(forward_task(coarse, starts, starts_um))
+        first = search.best()
+    if first is None:
+        return None
+    return replace(
+        first,
+        nodes=nodes_on_fine(coarse.lattice, request.lattice, first.nodes),
+        lower_bound_um=min(first.cost_um, request.lower_bound(nodes, costs_um)),
+    )

@@ -1,13 +1,14 @@
-"""Anytime weighted A* (ARA*) over the footstep lattice, compiled.
+"""Best-first search over the footstep lattice: open list and expansion of states, compiled.
 
-After Likhachev, Gordon and Thrun, "ARA*: Anytime A* with Provable Bounds on Sub-Optimality", 2003:
-searches with a falling weight epsilon on the heuristic, each going on from the costs that the ones
-before found. A state whose cost falls after it was expanded waits for the next search (INCONS). The
-search goes from the start to the goal or, with the steps turned round, the other way.
+`expand` is ImprovePath of ARA* (Likhachev, Gordon and Thrun, "ARA*: Anytime A* with Provable Bounds
+on Sub-Optimality", 2003): a search with a weight epsilon on the heuristic that continues from the
+costs of the iterations before it. A state whose cost falls after its expansion waits in INCONS for
+the next iteration. The search goes from the start to the goal or, with reversed steps, the other
+way.
 
 A state is the node of the foot that was placed last. OPEN is a row of buckets of equal width in f,
-each a stack. A bucket holds states in any order, but a search ends only when the lower edge of the
-first bucket in use is not below the cost of the plan, so bounds are exact.
+each a stack. A bucket holds states in any order, but an iteration ends only when the lower edge of
+the first bucket in use is not below the cost of the plan, so bounds are exact.
 """
 
 from __future__ import annotations
@@ -54,91 +55,85 @@ from planner.lattice.lattice import (
     step_climbs,
 )
 
-# Places on the lattice: what a search for a first plan tells apart, which is less than a state.
-#
-# Where the path of the body leads on and steps do not, a search fills all that is around with
-# states that differ by a cell or by a few degrees before it tries another way. So here, once a
-# state of a place was expanded, only those are that have clearly less before them, after the cells
-# of hybrid A* (Dolgov, Thrun, Montemerlo and Diebel, "Path Planning for Autonomous Vehicles in
-# Unknown Semi-structured Environments", 2010). A plan may be missed by that.
+BUCKETS = 1 << 13
+INCONS = BUCKETS  # the bucket after those of OPEN
+ROOT = 0  # as a parent: node 0 lies on the rim, so it is never one
 
-_SIZE_M, _SIZE_RAD = 0.15, math.pi / 4
-_CLEARLY_UM = 100_000
+# Entries of `Tree.scalars`. USED: queue entries ever in use. SPARE: 1 + the first entry that is
+# free again, 0 for none. CURSOR: no bucket before it has entries. BASE_UM: lower edge of the first
+# bucket. SHIFT: a bucket is 1 << SHIFT micrometres wide. BEST_UM: cost of the best plan, NO_COST
+# without one. BEST_NODE: the goal where it ends. ITERATION: number of the iteration. SLACK_UM:
+# states are kept that cost up to this much more than the best plan.
+USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ITERATION, SLACK_UM, SPARE = range(10)
+SCALARS = 10
+
+# What `expand` returns
+EXHAUSTED, FINISHED, IMPROVED, OUT_OF_BUDGET, OUT_OF_ENTRIES = range(5)
+# Costs of nodes are 32 bit: no plan costs as much as this, so no cost overflows.
+NO_COST = (1 << 31) - 1
+_NO_KEY = 1 << 40
+
+_BIN_M, _BIN_RAD = 0.15, math.pi / 4
+_CLEARLY_LOWER_UM = 100_000
 
 
-class Places(NamedTuple):
-    """Places of so many cells along both axes, of so many headings and of one side.
+class StateBins(NamedTuple):
+    """Bins of states for a search for a first plan, as in hybrid A*.
 
-    number, least_um (n,): a hash table of the places where states were expanded, n a power of two:
-    their numbers from 1, 0 where there is none, and the least estimate of those states; (0,) where
-    all states are to be.
+    A state is expanded only if its heuristic is clearly lower than that of all states of its bin
+    expanded before, so the search soon tries another way where the body's path continues and steps
+    do not. It may miss plans. After Dolgov, Thrun, Montemerlo and Diebel, "Path Planning for
+    Autonomous Vehicles in Unknown Semi-structured Environments", 2010.
+
+    cells, headings: size of a bin, which holds states of one side. key, least_um (n,): hash table
+    of the bins in use, n a power of two: their numbers from 1, 0 for a free place, and the least
+    heuristic expanded there. (0,): every state is expanded.
     """
 
-    number: NDArray[np.int64]
+    key: NDArray[np.int64]
     least_um: NDArray[np.int32]
     cells: int
     headings: int
 
 
-EVERY_STATE = Places(np.zeros(0, np.int64), np.zeros(0, np.int32), 1, 1)
+NO_BINS = StateBins(np.zeros(0, np.int64), np.zeros(0, np.int32), 1, 1)
 
 
-def places_of(lattice: Lattice, most: int) -> Places:
-    """Places of a lattice, nothing expanded in any, for at most so many expansions."""
-    cells = max(1, round(_SIZE_M / lattice.cell_m))
-    headings = max(1, round(_SIZE_RAD / (2 * math.pi) * lattice.headings))
-    room = 1 << (2 * most).bit_length()
-    return Places(np.zeros(room, np.int64), np.zeros(room, np.int32), cells, headings)
+def new_bins(lattice: Lattice, expansions: int) -> StateBins:
+    """Empty bins for at most so many expansions."""
+    cells = max(1, round(_BIN_M / lattice.cell_m))
+    headings = max(1, round(_BIN_RAD / (2 * math.pi) * lattice.headings))
+    room = 1 << (2 * expansions).bit_length()
+    return StateBins(np.zeros(room, np.int64), np.zeros(room, np.int32), cells, headings)
 
 
 @njit_no_refcount
-def takes_place(lattice: Lattice, places: Places, node: int, estimate_um: int) -> bool:
-    """Whether the node has clearly less before it than those expanded in its place, which it notes.
-
-    estimate_um: what is before it.
-    """
+def enters_bin(lattice: Lattice, bins: StateBins, node: int, heuristic_um: int) -> bool:
+    """Whether a node is to be expanded, which its bin then remembers."""
     row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
-    across = (lattice.cols + places.cells - 1) // places.cells
-    turns = (lattice.headings + places.headings - 1) // places.headings
-    place = cell // lattice.cols // places.cells * across + cell % lattice.cols // places.cells
-    number = (place * turns + row // 2 // places.headings) * 2 + row % 2 + 1
-    last = len(places.number) - 1
-    at = (number * 0x9E3779B1 >> 7) & last
-    while places.number[at] != 0 and places.number[at] != number:
+    bin_cols = (lattice.cols + bins.cells - 1) // bins.cells
+    bin_headings = (lattice.headings + bins.headings - 1) // bins.headings
+    number = cell // lattice.cols // bins.cells * bin_cols + cell % lattice.cols // bins.cells
+    key = (number * bin_headings + row // 2 // bins.headings) * 2 + row % 2 + 1
+    last = len(bins.key) - 1
+    at = (key * 0x9E3779B1 >> 7) & last
+    while bins.key[at] != 0 and bins.key[at] != key:
         at = at + 1 & last
-    if places.number[at] == number and estimate_um > places.least_um[at] - _CLEARLY_UM:
+    if bins.key[at] == key and heuristic_um > bins.least_um[at] - _CLEARLY_LOWER_UM:
         return False
-    places.number[at], places.least_um[at] = number, estimate_um
+    bins.key[at], bins.least_um[at] = key, heuristic_um
     return True
 
 
-BUCKETS = 1 << 13
-FROM_START = 0  # marks a root; node 0 lies on the rim, so it never is a predecessor
-
-# Entries of Tree.scalars
-USED, CURSOR, EXPANSIONS, BEST_UM, BEST_NODE, BASE_UM, SHIFT, ROUND, SLACK_UM, SPARE = range(10)
-SCALARS = 10
-
-# What `expand` returns
-EXHAUSTED, FINISHED, IMPROVED, OUT_OF_BUDGET, OUT_OF_ENTRIES = range(5)
-# Costs of nodes are 32 bit: no plan costs as much as this, so none that would overflow is followed.
-NO_COST = (1 << 31) - 1
-_NO_KEY = 1 << 40
-
-
 class Tree(NamedTuple):
-    """State of a search, kept between calls of `expand`.
+    """Search tree and open list, kept between calls of `expand`.
 
-    steps: `Lattice.steps` for a search from the start; for one from the goal the same turned round,
-    and `is_backward`. slots: those of the space; kept there are cost_um: cost of a node from the
-    roots, 0 where none is known; before: the node that it was reached from, FROM_START for a root;
-    round: number of the search that expanded it. entry_node, entry_next: stacks of the buckets;
-    head (BUCKETS + 1,): first entry of each, the last for INCONS. goals (n,): nodes at which a
-    plan is complete, in rising order, and goal_um (n,): what is still to be paid there.
-    scalars[USED]: so many entries were ever in use; scalars[SPARE]: 1 more than the first of those
-    that are used again, 0 for none.
-    scalars[SLACK_UM]: states are kept that cost up to so much more than the best plan; 0 for a tree
-    that is not used again. places: see `places.py`.
+    steps (2 H, K, 8): `Lattice.steps`, or the same reversed if `is_backward`. slots: those of the
+    lattice; by slot are cost_um: cost-to-come from the roots, 0 if unreached; parent: the node
+    before, or ROOT; closed_in: number of the iteration that expanded the node. entry_node,
+    entry_next: entries of the queue; head (BUCKETS + 1,): first entry of each bucket, -1 for none.
+    goals (n,): nodes at which a plan is complete, in rising order; goal_um (n,): cost-to-go there.
+    scalars (SCALARS,): see above. bins: see `StateBins`.
     """
 
     steps: NDArray[np.int64]
@@ -146,29 +141,30 @@ class Tree(NamedTuple):
 
     slots: Slots
     cost_um: NDArray[np.int32]
-    before: NDArray[np.int32]
-    round: NDArray[np.uint8]
+    parent: NDArray[np.int32]
+    closed_in: NDArray[np.uint8]
     entry_node: NDArray[np.int32]
     entry_next: NDArray[np.int32]
     head: NDArray[np.int32]
     goals: NDArray[np.int64]
     goal_um: NDArray[np.int64]
     scalars: NDArray[np.int64]
-    places: Places
+    bins: StateBins
 
 
 @njit_no_refcount
-def _push(tree: Tree, node: int, key_um: int) -> None:
+def insert(tree: Tree, node: int, key_um: int) -> None:
+    """Adds a node with key f to OPEN."""
     scalars = tree.scalars
     bucket = (key_um - scalars[BASE_UM]) >> scalars[SHIFT]
     bucket = min(max(bucket, 0), BUCKETS - 1)
     scalars[CURSOR] = min(scalars[CURSOR], bucket)
-    put(tree, node, bucket)
+    push_entry(tree, node, bucket)
 
 
 @njit_no_refcount
-def put(tree: Tree, node: int, bucket: int) -> None:
-    """Adds an entry for a node to a bucket; there must be room for it."""
+def push_entry(tree: Tree, node: int, bucket: int) -> None:
+    """Adds an entry for a node to a bucket; `entry_node` must have room for it."""
     scalars = tree.scalars
     entry = scalars[SPARE] - 1
     if entry >= 0:
@@ -182,22 +178,22 @@ def put(tree: Tree, node: int, bucket: int) -> None:
 
 
 @njit_no_refcount
-def seed(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> None:
-    """Puts the roots (n,) into the tree, to be taken up by `begin_round`."""
+def insert_roots(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int64]) -> None:
+    """Puts roots (n,) into the tree and into INCONS."""
     for i in range(len(nodes)):
         node, cost = nodes[i], costs_um[i]
         slot = take_slot(tree.slots, node)
         old = tree.cost_um[slot]
         if old == 0 or cost < old:
             tree.cost_um[slot] = cost
-            tree.before[slot] = FROM_START
-            put(tree, node, BUCKETS)
-            _offer(tree, node, cost)
+            tree.parent[slot] = ROOT
+            push_entry(tree, node, INCONS)
+            _note_plan(tree, node, cost)
 
 
 @njit_no_refcount
-def _offer(tree: Tree, node: int, cost_um: int) -> bool:
-    """Takes the node for the end of the plan if it is one of the goals and the best so far."""
+def _note_plan(tree: Tree, node: int, cost_um: int) -> bool:
+    """Notes the plan that ends at a node if that is a goal and the plan the best; whether it is."""
     scalars, goals = tree.scalars, tree.goals
     if len(goals) == 0 or node < goals[0] or node > goals[-1]:
         return False
@@ -211,19 +207,19 @@ def _offer(tree: Tree, node: int, cost_um: int) -> bool:
 
 @njit_no_refcount
 def _limit_um(scalars: NDArray[np.int64]) -> int:
-    """What a state's cost and heuristic must stay below for the state to be kept."""
+    """States whose cost + heuristic is not below this are not kept."""
     return min(scalars[BEST_UM] + scalars[SLACK_UM], NO_COST)
 
 
 @njit_arrays
-def begin_round(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
-    """Moves OPEN and INCONS into fresh buckets for a weight epsilon.
+def start_iteration(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> int:
+    """Moves OPEN and INCONS into OPEN with keys for a weight epsilon.
 
-    Returns the least g + h of any open state: no plan that is still to be found costs less.
+    Returns the least g + h of all open states, a lower bound on all plans not found yet.
     """
     scalars = tree.scalars
-    scalars[ROUND] += 1
-    queued = 128 + scalars[ROUND]
+    scalars[ITERATION] += 1
+    queued = 128 + scalars[ITERATION]
     limit_um = _limit_um(scalars)
     nodes = np.empty(scalars[USED], np.int64)
     values_um = np.empty(scalars[USED], np.int64)
@@ -235,13 +231,13 @@ def begin_round(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: flo
             node = tree.entry_node[entry]
             entry = tree.entry_next[entry]
             slot = slot_of(lattice.slots, node)
-            stale = bucket < BUCKETS and tree.round[slot] == scalars[ROUND] - 1
-            if stale or tree.round[slot] == queued:
+            stale = bucket < BUCKETS and tree.closed_in[slot] == scalars[ITERATION] - 1
+            if stale or tree.closed_in[slot] == queued:
                 continue
             value = estimate(lattice, heuristic, node)
             if tree.cost_um[slot] + value >= limit_um:
                 continue
-            tree.round[slot] = queued
+            tree.closed_in[slot] = queued
             nodes[number], values_um[number] = node, value
             number += 1
     scalars[USED] = scalars[SPARE] = 0
@@ -260,14 +256,14 @@ def begin_round(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: flo
         scalars[SHIFT] += 1
     for i in range(number - 1, -1, -1):
         cost = tree.cost_um[slot_of(lattice.slots, nodes[i])]
-        _push(tree, nodes[i], cost + int(epsilon * values_um[i]))
+        insert(tree, nodes[i], cost + int(epsilon * values_um[i]))
     return least
 
 
 @njit_no_refcount
 def expand(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, budget: int) -> int:
-    """Expands states until this round's search is over, the plan improves or budget is spent."""
-    scalars, head, rounds = tree.scalars, tree.head, tree.round
+    """Expands states until the iteration ends, the plan improves or the budget is spent."""
+    scalars, head, closed_in = tree.scalars, tree.head, tree.closed_in
     of_block = lattice.slots.of_block
     entry_node, entry_next = tree.entry_node, tree.entry_next
     limit = scalars[EXPANSIONS] + budget
@@ -286,7 +282,7 @@ def expand(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, b
         if scalars[USED] > room:
             return OUT_OF_ENTRIES
         if cursor == BUCKETS - 1:
-            _widen(lattice, heuristic, tree, epsilon)
+            _double_width(lattice, heuristic, tree, epsilon)
             cursor = scalars[CURSOR]
             continue
         entry = head[cursor]
@@ -296,12 +292,12 @@ def expand(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, b
         scalars[SPARE] = entry + 1
         block: int = np.int64(of_block[node >> BITS])  # type: ignore[assignment]
         slot = block << BITS | node & LOW
-        if rounds[slot] == scalars[ROUND]:
+        if closed_in[slot] == scalars[ITERATION]:
             continue
-        rounds[slot] = scalars[ROUND]
-        if len(tree.places.least_um) > 0:
+        closed_in[slot] = scalars[ITERATION]
+        if len(tree.bins.key) > 0:
             value = estimate(lattice, heuristic, node)
-            if not takes_place(lattice, tree.places, node, value):
+            if not enters_bin(lattice, tree.bins, node, value):
                 continue
         scalars[EXPANSIONS] += 1
         if _expand_node(lattice, heuristic, tree, epsilon, node, slot):
@@ -310,10 +306,10 @@ def expand(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, b
 
 
 @njit_arrays
-def _widen(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
-    """Doubles the buckets' width once only the last is in use, which holds every higher key.
+def _double_width(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
+    """Doubles the buckets' width once only the last one is in use, which has no upper edge.
 
-    Without it the states there would be searched newest first, whatever they cost.
+    Otherwise its states would be expanded newest first, whatever their keys.
     """
     scalars = tree.scalars
     nodes = np.empty(scalars[USED], np.int64)
@@ -331,21 +327,24 @@ def _widen(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -
     scalars[SHIFT] += 1
     for i in range(ends[1] - 1, -1, -1):
         slot = slot_of(lattice.slots, nodes[i])
-        if tree.round[slot] != scalars[ROUND]:
+        if tree.closed_in[slot] != scalars[ITERATION]:
             value = estimate(lattice, heuristic, nodes[i])
-            _push(tree, nodes[i], tree.cost_um[slot] + int(epsilon * value))
+            insert(tree, nodes[i], tree.cost_um[slot] + int(epsilon * value))
     for i in range(ends[2] - 1, ends[1] - 1, -1):
-        put(tree, nodes[i], BUCKETS)
+        push_entry(tree, nodes[i], INCONS)
 
 
 @njit_no_refcount
 def _expand_node(
     lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, node: int, slot: int
 ) -> bool:
-    """Relaxes all steps from a node in a slot; whether a better plan came of it."""
-    # Arrays in local names: taken from the tuples in the loop they cost more than the loop itself.
-    scalars, cost_um, rounds = tree.scalars, tree.cost_um, tree.round
-    steps, node_state, before = tree.steps, lattice.node_state, tree.before
+    """Relaxes all steps from a node in a slot; whether a better plan was found.
+
+    Has `heuristic.estimate` inline, its cheapest parts first.
+    """
+    # Local names: reading arrays from the tuples in the loop costs more than the loop itself.
+    scalars, cost_um, closed_in = tree.scalars, tree.cost_um, tree.closed_in
+    steps, node_state, parent = tree.steps, lattice.node_state, tree.parent
     of_block, used = lattice.slots.of_block, lattice.slots.used
     clearance_m, size_m = lattice.terrain.clearance_m, lattice.terrain.resolution_m
     (ox, oy, cos, sin), cell_m = lattice.frame, lattice.cell_m
@@ -356,7 +355,7 @@ def _expand_node(
     detour_um, turn_um, rim = heuristic.detour_um, heuristic.turn_um, heuristic.rim
     circle = heuristic.radius_cells, lattice.cols, lattice.origin_col, lattice.origin_row
     radii_m = radius_of(lattice.foot), radius_of(lattice.body)
-    round_now = scalars[ROUND]
+    iteration = scalars[ITERATION]
     here = np.int64(cost_um[slot])
     cell = node // (2 * lattice.headings)
     row = node - cell * 2 * lattice.headings
@@ -379,8 +378,8 @@ def _expand_node(
         if block == 0:
             block = next_block(of_block, used, to)
             # To read a fresh page first and write to it later takes twice the time to get it.
-            cost_um[block << BITS] = before[block << BITS] = 0
-            node_state[block << BITS] = rounds[block << BITS] = 0
+            cost_um[block << BITS] = parent[block << BITS] = 0
+            node_state[block << BITS] = closed_in[block << BITS] = 0
         at = block << BITS | to & LOW
         old = np.int64(cost_um[at])
         if old != 0 and cost >= old:
@@ -435,62 +434,39 @@ def _expand_node(
             if (old != 0 and cost >= old) or cost + value >= limit_um:
                 continue
         cost_um[at] = cost
-        before[at] = node
-        if _offer(tree, to, cost):
+        parent[at] = node
+        if _note_plan(tree, to, cost):
             improved, limit_um = True, _limit_um(scalars)
-        if rounds[at] != round_now:
-            _push(tree, to, cost + int(epsilon * value))
+        if closed_in[at] != iteration:
+            insert(tree, to, cost + int(epsilon * value))
         elif epsilon == 1.0:
-            rounds[at] = 0
-            _push(tree, to, cost + value)
+            closed_in[at] = 0
+            insert(tree, to, cost + value)
         else:
-            put(tree, to, BUCKETS)
+            push_entry(tree, to, INCONS)
     return improved
 
 
-def with_more_entries(tree: Tree) -> Tree:
-    """The tree with room for twice as many entries."""
+def with_longer_queue(tree: Tree) -> Tree:
+    """The tree with room for twice as many queue entries."""
     used = len(tree.entry_node)
     entry_node, entry_next = np.empty(2 * used, np.int32), np.empty(2 * used, np.int32)
     entry_node[:used], entry_next[:used] = tree.entry_node, tree.entry_next
     return tree._replace(entry_node=entry_node, entry_next=entry_next)
 
 
-# What is read from a search tree, compiled.
-
-
 @njit_arrays
 def trace(tree: Tree, node: int) -> Int64s:
-    """Nodes (n,) from a root to a node, both included."""
+    """Path (n,) of nodes from a root to a node, both included."""
     number = 0
     here: int = node
-    while here != FROM_START:
+    while here != ROOT:
         number += 1
-        here = np.int64(tree.before[slot_of(tree.slots, here)])  # type: ignore[assignment]
+        here = np.int64(tree.parent[slot_of(tree.slots, here)])  # type: ignore[assignment]
     path = np.empty(number, np.int64)
     here = node
     while number > 0:
         number -= 1
         path[number] = here
-        here = np.int64(tree.before[slot_of(tree.slots, here)])  # type: ignore[assignment]
+        here = np.int64(tree.parent[slot_of(tree.slots, here)])  # type: ignore[assignment]
     return path
-
-
-@njit_arrays
-def costs_of(tree: Tree, nodes: Int64s) -> Int64s:
-    """Costs of nodes (n,) in micrometres, 0 where none is known."""
-    costs_um = np.empty(len(nodes), np.int64)
-    for i in range(len(nodes)):
-        costs_um[i] = tree.cost_um[slot_of(tree.slots, nodes[i])]
-    return costs_um
-
-
-@njit_arrays
-def expanded_in_cells(lattice: Lattice, tree: Tree) -> Int64s:
-    """How many nodes were expanded in each of the lattice's cells (rows * cols,)."""
-    done = np.zeros(lattice.cols * lattice.rows, np.int64)
-    of_block, rows = tree.slots.of_block, 2 * lattice.headings
-    for node in range(len(done) * rows):
-        if of_block[node // (LOW + 1)] and tree.round[slot_of(tree.slots, node)]:
-            done[node // rows] += 1
-    return done

@@ -1,12 +1,10 @@
-"""A first plan soon: a search in the strip of ground that the path of the body lies in.
+"""A first plan soon: an inflated search in a strip around the path of the body.
 
-The path comes from A* over the body's cells, from the goal toward the start, among those where it
-has room to walk ahead; where that leads nowhere, among all that the bound of the full search counts
-as open, which are more than any body fits into. It looks at a few of the cells that the heuristic
-of the full search wants to know; the search for steps then keeps to those cells, weighs their path
-cost more than it is due, and goes from place to place rather than from state to state
-(`places.py`). Where it finds nothing nothing is lost: the full search follows in any case, or
-proves what is asked.
+The path comes from A* over the body's cells, from the goal toward the start, among cells where the
+body has room to walk ahead; if there is none, among all cells that the lower bound counts as open,
+which are more than any body fits into. The search for steps keeps to the strip around the path,
+inflates its path costs, and expands few states of each bin (`best_first.StateBins`). Where it finds
+nothing the full search follows, so no plan is missed.
 """
 
 from __future__ import annotations
@@ -28,123 +26,149 @@ from planner.heuristics.turning import no_detours
 from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
-from planner.search import best_first as search
-from planner.search.best_first import EVERY_STATE, places_of, trace
-from planner.search.coarse_to_fine import least_straight
-from planner.search.problem import Request, body_cells_of
-from planner.search.search_task import Task
+from planner.search.best_first import (
+    BEST_NODE,
+    BEST_UM,
+    EXPANSIONS,
+    NO_BINS,
+    NO_COST,
+    expand,
+    new_bins,
+    start_iteration,
+    trace,
+)
+from planner.search.problem import Request, SearchTask
 
-# Weights, with as many expansions as each may take, and whether by places or by all states.
+# Weights on the heuristic, most expansions with each, and whether states are binned.
 _TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)
 
 
 @dataclass(frozen=True, kw_only=True)
-class QuickPath:
-    """Nodes of a plan but for its last, its cost, and what any plan costs at least."""
+class FirstPlan:
+    """Nodes of a plan but for its last, its cost, a lower bound on any plan, and expansions."""
 
     nodes: Int64s
     cost_um: int
-    least_um: int
+    lower_bound_um: int
     expansions: int
 
 
-NO_WAY = QuickPath(nodes=np.zeros(0, np.int64), cost_um=0, least_um=0, expansions=0)
+CUT_OFF = FirstPlan(nodes=np.zeros(0, np.int64), cost_um=0, lower_bound_um=0, expansions=0)
+
+
+def find_first_plan(
+    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
+) -> FirstPlan | None:
+    """A plan from first steps (n,) with their costs to the goal's own pose, or None.
+
+    Its bound holds for plans to all of the goal region. CUT_OFF where the goal's own pose is the
+    only end and no path of the body leads there. If more than the first plan is wanted and the goal
+    is a region there is none: it would cost effort to improve a plan to the middle of the region,
+    the dearest end.
+    """
+    context = request.context
+    if context.region.is_point:
+        return _plan_to_point(request, nodes, costs_um, options)
+    if not options.stop_at_first or not np.all(np.isin(context.goal_nodes, context.ends)):
+        return None
+    first = _plan_to_point(request, nodes, costs_um, options)
+    if first is None or first is CUT_OFF:
+        return None
+    bound_um = request.heuristic_bound(nodes, costs_um)
+    return replace(first, lower_bound_um=min(bound_um, first.cost_um))
 
 
 def is_cut_off(request: Request, nodes: Int64s) -> bool:
-    """Whether the goal's own pose is the only end, and no path of the body leads there.
+    """Whether no path of the body leads from first steps (n,) to the goal's own pose.
 
-    nodes (n,): first steps. A region is never said to be cut off.
+    False for every goal that is a region.
     """
     if not request.context.region.is_point:
         return False
-    cells = np.unique(body_cells_of(request.context, nodes))
+    cells = np.unique(request.context.body_cells(nodes))
     path = path_toward(request.lattice, request.context.tables.potential, cells, margin_moves=0)
     return not path.reaches_any(cells)
 
 
-def quick_path(
+def _plan_to_point(
     request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
-) -> QuickPath | None:
-    """A plan from the first steps (n,) with their costs; None where the strip holds none.
-
-    NO_WAY where no path of the body leads to the goal's own pose.
-    """
-    lattice, potential = request.lattice, request.context.tables.potential
-    bodies = body_cells_of(request.context, nodes)
+) -> FirstPlan | None:
+    lattice, context = request.lattice, request.context
+    potential = context.tables.potential
+    bodies = context.body_cells(nodes)
     cells = np.unique(bodies)
     # With room to walk ahead steps can follow it nearly always.
     roomy = replace(potential, reach_m=max(lattice.body[1], potential.reach_m))
     wide = path_toward(lattice, roomy, cells)
     is_wide = wide.reaches_any(cells)
     if not is_wide and wide.is_large and not leads_to_goal(lattice, potential, cells):
-        return NO_WAY
-    values_um = costs_um + potential.potential_um.reshape(-1)[nodes % (2 * lattice.headings)]
-    least_um = least_straight(request, nodes, costs_um)
-    # Where the wide path is as short as the straight way there is nothing more to know.
-    if not is_wide or least_um < (values_um + wide.least_um(bodies)).min():
-        # Beside a wide path this one says only what any plan costs at least: that takes no margin.
+        return CUT_OFF
+    values_um = costs_um + context.potential_um[nodes % (2 * lattice.headings)]
+    bound_um = request.straight_bound(nodes, costs_um)
+    # No path is shorter than the straight line, so a wide one as short gives the same bound.
+    if not is_wide or bound_um < (values_um + wide.least_um(bodies)).min():
+        # Beside a wide path this one gives only the bound, which takes no margin.
         path = path_toward(lattice, potential, cells, margin_moves=0 if is_wide else MARGIN_MOVES)
         if not path.reaches_any(cells):
-            return NO_WAY
-        least_um = int((values_um + path.least_um(bodies)).min())
-    quick = replace(NO_WAY, least_um=least_um)
+            return CUT_OFF
+        bound_um = int((values_um + path.least_um(bodies)).min())
+    first = replace(CUT_OFF, lower_bound_um=bound_um)
     if is_wide:
-        quick = _along(request, wide, nodes, costs_um, options, _TRIES[:2], quick)
-        if len(quick.nodes):
-            return quick
+        first = _plan_along(request, wide, nodes, costs_um, options, _TRIES[:2], first)
+        if len(first.nodes):
+            return first
         path = path_toward(lattice, potential, cells)
-    quick = _along(request, path, nodes, costs_um, options, _TRIES, quick)
-    return quick if len(quick.nodes) else None
+    first = _plan_along(request, path, nodes, costs_um, options, _TRIES, first)
+    return first if len(first.nodes) else None
 
 
-def _along(
+def _plan_along(
     request: Request,
     strip: Strip,
     nodes: Int64s,
     costs_um: Int64s,
     options: PlannerOptions,
     tries: Sequence[tuple[float, int, bool]],
-    so_far: QuickPath,
-) -> QuickPath:
+    so_far: FirstPlan,
+) -> FirstPlan:
     """A plan along a strip, with the expansions so far; without nodes if none is found."""
     task, expansions = _task_in(request, strip, nodes, costs_um), so_far.expansions
-    for epsilon, budget, by_places in tries:
-        places = places_of(task.lattice, budget) if by_places else EVERY_STATE
-        tree = task.tree()._replace(places=places)
+    for epsilon, budget, is_binned in tries:
+        bins = new_bins(task.lattice, budget) if is_binned else NO_BINS
+        tree = task.tree()._replace(bins=bins)
         weight = max(options.epsilon, epsilon)
-        search.begin_round(task.lattice, task.heuristic, tree, weight)
+        start_iteration(task.lattice, task.heuristic, tree, weight)
         budget = min(budget, options.max_expansions - expansions)
-        search.expand(task.lattice, task.heuristic, tree, weight, budget)
-        expansions += int(tree.scalars[search.EXPANSIONS])
-        if tree.scalars[search.BEST_UM] < search.NO_COST:
+        expand(task.lattice, task.heuristic, tree, weight, budget)
+        expansions += int(tree.scalars[EXPANSIONS])
+        if tree.scalars[BEST_UM] < NO_COST:
             return replace(
                 so_far,
-                nodes=task.in_order(trace(tree, int(tree.scalars[search.BEST_NODE]))),
-                cost_um=int(tree.scalars[search.BEST_UM]),
+                nodes=task.in_order(trace(tree, int(tree.scalars[BEST_NODE]))),
+                cost_um=int(tree.scalars[BEST_UM]),
                 expansions=expansions,
             )
     return replace(so_far, expansions=expansions)
 
 
-def _task_in(request: Request, path: Strip, nodes: Int64s, costs_um: Int64s) -> Task:
-    """The search along a strip from the first steps (n,); changes the strip's costs."""
-    context, exits = request.context, request.context.tables.exits
-    start = int(body_cells_of(context, nodes)[np.argmin(costs_um)])
-    arrive_um = _lift(request, path, start)
-    return Task(
+def _task_in(request: Request, strip: Strip, nodes: Int64s, costs_um: Int64s) -> SearchTask:
+    """The search in a strip from the first steps (n,); changes the strip's costs."""
+    context, tables = request.context, request.context.tables
+    start = int(context.body_cells(nodes)[np.argmin(costs_um)])
+    arrive_um = _add_arrival(request, strip, start)
+    return SearchTask(
         lattice=request.lattice,
         heuristic=Heuristic(
-            path.cost_um,
-            path.settled_um + arrive_um,  # off the strip it is as far as from the start
+            strip.cost_um,
+            strip.settled_um + arrive_um,  # off the strip it is as far as from the start
             context.body_cell,
-            context.tables.potential.potential_um.reshape(-1),
-            context.tables.goal_table.cost_um,
-            context.tables.goal_table.cap_um,
-            context.tables.facing.depart_um,
+            context.potential_um,
+            tables.goal_table.cost_um,
+            tables.goal_table.cap_um,
+            tables.facing.depart_um,
             no_detours(request.lattice.cols, request.lattice.rows),
-            exits.ring,
-            exits.radius_cells,
+            tables.exits.ring,
+            tables.exits.radius_cells,
         ),
         steps=request.lattice.steps,
         is_backward=False,
@@ -155,13 +179,13 @@ def _task_in(request: Request, path: Strip, nodes: Int64s, costs_um: Int64s) -> 
     )
 
 
-def _lift(request: Request, path: Strip, start: int) -> int:
-    """Raises the path costs by what arriving costs; by how much far from the goal.
+def _add_arrival(request: Request, strip: Strip, start: int) -> int:
+    """Adds the cost of arriving at the goal to path costs; what that is far from the goal.
 
-    Near the goal the exact table counts every turn, farther off nothing does. A search that weighs
-    the heuristic would go along the border between the two and look everywhere outside first.
+    The exact table near the goal counts every turn, the path costs outside count none. An inflated
+    search would expand everything outside before crossing the border between the two.
     """
     lattice, tables = request.lattice, request.context.tables
-    goal = path.ahead._replace(col=lattice.origin_col, row=lattice.origin_row, slack_um=0)
+    goal = strip.ahead._replace(col=lattice.origin_col, row=lattice.origin_row, slack_um=0)
     table = tables.goal_table.inside, tables.facing.arrive_um, tables.facing.exact_um
-    return raise_by_arrival(lattice, path.cost_um, start, goal, *table)
+    return raise_by_arrival(lattice, strip.cost_um, start, goal, *table)

@@ -1,4 +1,4 @@
-"""What every search is asked, and what it answers."""
+"""The search problem: lattice and heuristic of a goal, the request, the task, and its result."""
 
 from __future__ import annotations
 
@@ -11,35 +11,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.compiled import slots_of
-from planner.heuristics.distance_field import BodyPath, search_body_path
+from planner.compiled import slots_of, zeros
+from planner.heuristics.distance_field import (
+    BodyPath,
+    draw_path,
+    least_in_cells,
+    search_body_path,
+    spread_from,
+)
 from planner.heuristics.heuristic import (
     Heuristic,
     Tables,
+    estimates,
     heuristic_toward_region,
+    of_path,
     simpler_heuristic,
 )
-from planner.heuristics.potential import body_cells_from
-from planner.heuristics.turning import no_detours
+from planner.heuristics.turning import no_detours, straight_cost
 from planner.lattice.first_steps import first_steps
-from planner.lattice.lattice import POINT, Int64s, Lattice, Region, beside, ends_in, height_beside
+from planner.lattice.lattice import (
+    POINT,
+    Int64s,
+    Lattice,
+    Region,
+    beside,
+    ends_in,
+    height_beside,
+    turned_round,
+)
 from planner.lattice.map_change import change_between, over
-from planner.lattice.steps import MICRO
+from planner.lattice.steps import MICRO, final_cost_um
 from planner.options import FULL
 from planner.plan import PlanStatus
 from planner.robot_model import Side, StepModel
+from planner.search.best_first import (
+    BEST_UM,
+    BUCKETS,
+    NO_BINS,
+    NO_COST,
+    SCALARS,
+    Tree,
+    insert_roots,
+)
+from planner.search.search_record import SearchRecord
 
-# What all searches toward one goal on one map share, each part made when it is first asked for.
+FloatArray = NDArray[np.float64]
+_ENTRIES = 1 << 16  # of a new queue, which doubles when it is full
 
 
 @dataclass(kw_only=True)
 class GoalContext:
-    """The lattice laid out from a goal, and what is known of the way to it.
+    """Lattice, goal region and heuristic of one goal, made when first used.
 
-    memory: what a search that is asked again and again keeps for itself, by its name; it has a
-    method mend(space, change) for changes of the map. region: of the poses that plans may end in.
-    coarse: the same on a coarse lattice, where the cells of this one are fine (see `coarse.py`).
-    heuristic_name: one of `HEURISTICS`.
+    memory: what a planner keeps between requests, by the planner's name; it has a method
+    repair(lattice, change) for changes of the map. coarse: the same goal on a lattice of coarse
+    cells if this one's are fine. heuristic_name: one of `HEURISTICS`.
     """
 
     lattice: Lattice
@@ -53,50 +79,56 @@ class GoalContext:
     @cached_property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal, good for any start."""
-        lattice = self.lattice
+        toward = self.lattice, self.model, self.tables, self.body_cell, self.ends
         if self.heuristic_name != FULL and len(self.ends):
-            return simpler_heuristic(
-                self.heuristic_name, lattice, self.model, self.tables, self.body_cell, self.ends
-            )
+            return simpler_heuristic(self.heuristic_name, *toward)
         if not self.region.is_point and len(self.ends):
-            return heuristic_toward_region(
-                lattice, self.model, self.tables, self.body_cell, self.ends, self.region
-            )
-        return self.heuristic_by(
-            search_body_path(lattice, self.tables.potential, self.tables.goal_table)
-        )
+            return heuristic_toward_region(*toward, self.region)
+        path = search_body_path(self.lattice, self.tables.potential, self.tables.goal_table)
+        return self.heuristic_by(path)
 
     def heuristic_by(self, path: BodyPath) -> Heuristic:
         """The heuristic toward the goal's own pose with these path costs of the body."""
-        lattice, exits = self.lattice, self.tables.exits
+        goal_table, exits = self.tables.goal_table, self.tables.exits
         return Heuristic(
             path.cost_um,
             path.frontier_um,
             self.body_cell,
-            self.tables.potential.potential_um.reshape(-1),
-            self.tables.goal_table.cost_um,
-            self.tables.goal_table.cap_um,
+            self.potential_um,
+            goal_table.cost_um,
+            goal_table.cap_um,
             exits.turn_um,
-            no_detours(lattice.cols, lattice.rows),
+            no_detours(self.lattice.cols, self.lattice.rows),
             exits.rim,
             exits.radius_cells,
         )
 
     def over(self, terrain: Terrain) -> GoalContext:
-        """The same over a changed terrain of the same size; takes this one's arrays for its own."""
+        """The context over a changed terrain of the same size; takes over this one's arrays."""
         change = change_between(self.lattice, self.lattice.terrain, terrain)
         if change is None:
             return self
         lattice = over(self.lattice, terrain, change)
         for kept in self.memory.values():
-            kept.mend(lattice, change)
+            kept.repair(lattice, change)
         coarse = None if self.coarse is None else self.coarse.over(terrain)
         return replace(self, lattice=lattice, coarse=coarse)
 
     @cached_property
     def body_cell(self) -> Int64s:
         """The body's cell from a foot's cell, per heading * 2 + side (2 H,)."""
-        return body_cells_from(self.tables.potential, self.lattice.cols)
+        potential = self.tables.potential
+        return (potential.body_row * self.lattice.cols + potential.body_col).reshape(-1)
+
+    @property
+    def potential_um(self) -> Int64s:
+        """Potential per heading * 2 + side (2 H,)."""
+        return self.tables.potential.potential_um.reshape(-1)
+
+    def body_cells(self, nodes: Int64s) -> Int64s:
+        """The body's cell (n,) of nodes (n,)."""
+        rows = 2 * self.lattice.headings
+        return nodes // rows + self.body_cell[nodes % rows]
 
     @property
     def goal_nodes(self) -> Int64s:
@@ -106,24 +138,16 @@ class GoalContext:
 
     @cached_property
     def ends(self) -> Int64s:
-        """Nodes (n,), in rising order, beside which the other foot may come last."""
+        """Nodes (n,), in rising order, beside which the other foot may complete a plan."""
         return ends_in(self.lattice, self.region)
-
-
-def body_cells_of(context: GoalContext, nodes: Int64s) -> Int64s:
-    """The body's cell (n,) of nodes (n,)."""
-    rows = 2 * context.lattice.headings
-    return nodes // rows + context.body_cell[nodes % rows]
-
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """A search on the lattice.
+    """A plan to be found on the lattice of a goal.
 
-    feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): how high.
+    feet_lattice (2, 3): x_m, y_m, yaw_rad where the feet stand; feet_m (2,): their heights.
+    stands: the robot stands nearer to an obstacle than the margins allow, and may leave.
     """
 
     context: GoalContext
@@ -142,33 +166,163 @@ class Request:
         """The robot."""
         return self.context.model
 
-    @property
-    def heuristic(self) -> Heuristic:
-        """The heuristic toward the goal."""
-        return self.context.heuristic
+    def first_nodes(self) -> tuple[Int64s, Int64s]:
+        """Nodes (n,) and costs (n,) of the first steps with either foot, or the one asked for."""
+        sides = tuple(Side) if self.first_side is None else (self.first_side,)
+        return first_steps(
+            self.lattice,
+            self.model,
+            self.feet_lattice,
+            sides,
+            0.0 if self.stands else self.model.body_margin_m,
+            np.rint(self.feet_m * MICRO).astype(np.int64),
+        )
+
+    def straight_bound(self, nodes: Int64s, costs_um: Int64s) -> int:
+        """Lower bound on plans to the goal's own pose by first steps (n,), without the map."""
+        lattice, potential_um = self.lattice, self.context.potential_um
+        cells = self.context.body_cells(nodes)
+        across = cells % lattice.cols - lattice.origin_col
+        up = cells // lattice.cols - lattice.origin_row
+        straight_um = straight_cost(across, up, self.context.tables.potential)
+        return int((costs_um + straight_um + potential_um[nodes % len(potential_um)]).min())
+
+    def lower_bound(self, nodes: Int64s, costs_um: Int64s) -> int:
+        """Lower bound on plans by way of first steps (n,) that is quick to compute."""
+        if self.context.region.is_point:
+            return self.straight_bound(nodes, costs_um)
+        return self.heuristic_bound(nodes, costs_um)
+
+    def heuristic_bound(self, nodes: Int64s, costs_um: Int64s) -> int:
+        """Lower bound on plans by way of first steps (n,), by the heuristic toward the goal."""
+        return int((costs_um + estimates(self.lattice, self.context.heuristic, nodes)).min())
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchRecord:
-    """How a search went.
+class SearchTask:
+    """A search from roots (n,) with their costs to goals (m,) with their costs-to-go.
 
-    time_s, cost_m, least_m (k,): at each of k moments the seconds since the request, the cost of
-    the best plan so far (inf before the first) and what any plan costs at least. expanded (n, 3):
-    x_m, y_m of the feet's cells in which states were expanded, in the frame of the goal's pair
-    pose, and how many.
+    The goals are in rising order. The heuristic looks toward the goals.
     """
 
-    time_s: FloatArray
-    cost_m: FloatArray
-    least_m: FloatArray
-    expanded: FloatArray
+    lattice: Lattice
+    heuristic: Heuristic
+    steps: Int64s
+    is_backward: bool
+    roots: Int64s
+    root_um: Int64s
+    goals: Int64s
+    goal_um: Int64s
+
+    def tree(self) -> Tree:
+        """A new tree with the roots in it."""
+        tree = new_tree(self.lattice, self.steps, self.is_backward)
+        tree = tree._replace(goals=self.goals, goal_um=self.goal_um)
+        insert_roots(tree, self.roots, self.root_um)
+        return tree
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether a path of the body leads from a root to the goals, if there are any."""
+        rows = self.roots % (2 * self.lattice.headings)
+        cells = self.roots // (2 * self.lattice.headings) + self.heuristic.body_cell[rows]
+        return len(self.goals) > 0 and bool(np.any(self.heuristic.cost_um[cells] > 0))
+
+    def in_order(self, path: Int64s) -> Int64s:
+        """Nodes of a path from a root to a goal in the order of the steps."""
+        return path[::-1].copy() if self.is_backward else path
+
+
+def new_tree(lattice: Lattice, steps: Int64s, is_backward: bool) -> Tree:
+    """A tree with neither roots nor goals."""
+    length = lattice.slots.length
+    scalars = np.zeros(SCALARS, np.int64)
+    scalars[BEST_UM] = NO_COST
+    return Tree(
+        steps=steps,
+        is_backward=is_backward,
+        slots=lattice.slots,
+        cost_um=zeros(length, np.int32),
+        parent=zeros(length, np.int32),
+        closed_in=zeros(length, np.uint8),
+        entry_node=np.empty(_ENTRIES, np.int32),
+        entry_next=np.empty(_ENTRIES, np.int32),
+        head=np.full(BUCKETS + 1, -1, np.int32),
+        goals=np.zeros(1, np.int64),  # a node of the rim, where no step leads
+        goal_um=np.zeros(1, np.int64),
+        scalars=scalars,
+        bins=NO_BINS,
+    )
+
+
+def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> SearchTask:
+    """From the first steps (n,) with their costs to the goal region."""
+    ends = request.context.ends
+    return SearchTask(
+        lattice=request.lattice,
+        heuristic=request.context.heuristic,
+        steps=request.lattice.steps,
+        is_backward=False,
+        roots=nodes,
+        root_um=costs_um,
+        goals=ends,
+        goal_um=np.full(len(ends), final_cost_um(request.model)),
+    )
+
+
+def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> SearchTask:
+    """From the goal region to the first steps (n,) with their costs."""
+    roots = request.context.ends
+    order = np.argsort(nodes)
+    return SearchTask(
+        lattice=request.lattice,
+        heuristic=heuristic_to_start(request, nodes, costs_um),
+        steps=turned_round(request.lattice.steps),
+        is_backward=True,
+        roots=roots,
+        root_um=np.full(len(roots), final_cost_um(request.model)),
+        goals=nodes[order],
+        goal_um=costs_um[order],
+    )
+
+
+def heuristic_to_start(
+    request: Request, nodes: Int64s, costs_um: Int64s, further_um: int | None = None
+) -> Heuristic:
+    """Lower bound on the cost from the start, for a search from the goal.
+
+    By inequality (1) of `potential.py`, summed from a first step s,
+
+        h(t) = min over s of [ cost(s) + p(s) + D(cell(s), cell(t)) ] - p(t).
+
+    further_um: D is exact only where paths to the goal pass that cost at most so much more than the
+    cheapest, and lower elsewhere; None: everywhere.
+    """
+    context, potential = request.context, request.context.tables.potential
+    value_um = costs_um + context.potential_um[nodes % (2 * request.lattice.headings)]
+    cells, least_um = least_in_cells(context.body_cells(nodes), value_um)
+    base_um = int(least_um.min())
+    seeds = cells, least_um - base_um
+    if further_um is None:
+        path = spread_from(request.lattice, potential, *seeds)
+    else:
+        ends = np.unique(context.body_cells(context.ends))
+        path = draw_path(request.lattice, potential, *seeds, ends, further_um)
+    return of_path(
+        request.lattice,
+        path.cost_um,
+        path.frontier_um,
+        context.body_cell,
+        base_um - context.potential_um,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What came of it: side (N,), pose_lattice (N, 3), cost and proven bound, or a reason.
+    """A plan in the lattice frame, with its cost and proven bound, or why there is none.
 
-    z_m (N,): height of the ground under each step. record: if the options ask for one.
+    side (N,), pose_lattice (N, 3). z_m (N,): height of the ground under each step. record: if the
+    options ask for one.
     """
 
     status: PlanStatus
@@ -196,13 +350,13 @@ def failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
 
 
 def no_first_step(request: Request) -> Result:
-    """The result where nothing can be stepped on from where the feet stand."""
+    """The result where no first step is possible from where the feet stand."""
     side = "" if request.first_side is None else f" with the {request.first_side.name.lower()}"
     reason = f"start: no first step{side} is free of obstacles and in limits"
     return failure(PlanStatus.NO_PATH, reason)
 
 
-def no_way() -> Result:
+def no_body_path() -> Result:
     """The result where no path of the body leads from the start to the goal."""
     reason = (
         "the goal cannot be reached: obstacles enclose the start or the goal for a body of this "
@@ -211,22 +365,7 @@ def no_way() -> Result:
     return failure(PlanStatus.NO_PATH, reason)
 
 
-def first_nodes(request: Request) -> tuple[Int64s, Int64s]:
-    """Nodes (n,) and costs (n,) of the first steps with either foot, or with the one asked for."""
-    sides = tuple(Side) if request.first_side is None else (request.first_side,)
-    # A robot that stands too near to an obstacle must be able to leave.
-    margin_m = 0.0 if request.stands else request.model.body_margin_m
-    return first_steps(
-        request.lattice,
-        request.model,
-        request.feet_lattice,
-        sides,
-        margin_m,
-        np.rint(request.feet_m * MICRO).astype(np.int64),
-    )
-
-
-def found(
+def result_of(
     request: Request,
     nodes: Int64s,
     *,

@@ -1,11 +1,10 @@
 """Whether any steps at all lead from the start to the goal: two floods of the lattice that meet.
 
-A* looks at the states near the best way first, so it learns that there is no way only when it has
-seen every pose the robot can come to. A flood asks less of each state: whether it was reached, not
-at what cost. One flood goes forward from the first steps and one backward from the goal feet, in
-turns, so the smaller enclosed side is exhausted first and a goal in a pocket costs little more
-than the pocket. Each goes on from its newest state, so that they soon meet where there is a way.
-Both follow the very steps and checks of the search, so neither verdict is a guess.
+A* expands the states near the best way first, so it proves that there is no way only after it
+expanded every reachable state. A flood notes only whether a state was reached, not at what cost.
+One goes forward from the first steps and one backward from the goal feet, in turns, so the smaller
+enclosed side is exhausted first. Each expands its newest state first, so that they soon meet where
+there is a way. Both use the steps and checks of the search, so the verdict is exact.
 """
 
 from __future__ import annotations
@@ -30,24 +29,29 @@ from planner.lattice.lattice import (
 )
 
 FORWARD, BACKWARD = 1, 2
+_CHUNK = 1 << 12  # nodes of one flood before it is the other's turn
 
 
 class Verdict(IntEnum):
-    """What two floods know: nothing yet, that they met, or which of them ran dry before."""
+    """Result of two floods: open, they met, or which of them was exhausted before."""
 
     OPEN = 0
     MET = 1
     GOAL_ENCLOSED = 2
     START_ENCLOSED = 3
 
+    @property
+    def is_enclosed(self) -> bool:
+        """Whether there is no way."""
+        return self in (Verdict.GOAL_ENCLOSED, Verdict.START_ENCLOSED)
+
 
 class Flood(NamedTuple):
-    """State of the two floods, kept between calls of `spread`.
+    """State of the two floods, kept between calls of `expand_both`.
 
-    seen (nodes,): FORWARD or BACKWARD where a flood has come, 0 elsewhere. back_steps: the steps
-    that end in a row, as `Lattice.steps` has those that begin in it. forward, backward: stacks of
-    the nodes that have yet to go on. ends (4,): for each of the two, how many are on the stack and
-    how many were ever come to.
+    seen (nodes,): FORWARD or BACKWARD where a flood has reached, 0 elsewhere. back_steps:
+    `Lattice.steps` reversed. forward, backward: stacks of nodes to expand. ends (4,): for each of
+    the two, how many are on the stack and how many were reached in all.
     """
 
     seen: NDArray[np.uint8]
@@ -57,8 +61,16 @@ class Flood(NamedTuple):
     ends: NDArray[np.int64]
 
 
+def why_enclosed(verdict: Verdict, flood: Flood) -> str:
+    """Why the goal cannot be reached, where floods proved that."""
+    is_goal = verdict is Verdict.GOAL_ENCLOSED
+    where = "from outside to the goal" if is_goal else "out from the start"
+    poses = int(flood.ends[1] + flood.ends[3])
+    return f"the goal cannot be reached: obstacles leave no steps {where} ({poses} poses tried)"
+
+
 def new_flood(lattice: Lattice, seeds: NDArray[np.int64], goals: NDArray[np.int64]) -> Flood:
-    """Floods from the first steps (n,) and from the goal's nodes (2,), neither gone on yet."""
+    """Floods from the first steps (n,) and from the goal's nodes (m,), nothing expanded."""
     seen = zeros(lattice.cols * lattice.rows * lattice.headings * 2, np.uint8)
     forward = np.unique(seeds).astype(np.int32)
     backward = np.array([goal for goal in goals if node_free(lattice, int(goal))], np.int32)
@@ -73,8 +85,8 @@ def new_flood(lattice: Lattice, seeds: NDArray[np.int64], goals: NDArray[np.int6
     )
 
 
-def spread(lattice: Lattice, flood: Flood, budget: int) -> tuple[Flood, Verdict]:
-    """Lets each flood go on from as many nodes as the budget says; the flood and a verdict."""
+def expand_both(lattice: Lattice, flood: Flood, budget: int) -> tuple[Flood, Verdict]:
+    """Expands so many nodes of each flood; the floods and a verdict."""
     if np.any(flood.seen[flood.backward[: min(2, int(flood.ends[2]))]] == FORWARD | BACKWARD):
         return flood, Verdict.MET
     for done in range(0, budget, _CHUNK):
@@ -88,18 +100,15 @@ def spread(lattice: Lattice, flood: Flood, budget: int) -> tuple[Flood, Verdict]
             (flood.backward, flood.back_steps, BACKWARD, 2, Verdict.GOAL_ENCLOSED),
             (flood.forward, lattice.steps, FORWARD, 0, Verdict.START_ENCLOSED),
         ):
-            if _go_on(lattice, flood.seen, stack, steps, mine, flood.ends, at, chunk):
+            if _expand(lattice, flood.seen, stack, steps, mine, flood.ends, at, chunk):
                 return flood, Verdict.MET
             if flood.ends[at] == 0:
                 return flood, dry
     return flood, Verdict.OPEN
 
 
-_CHUNK = 1 << 12
-
-
 def _with_room(stack: NDArray[np.int32], room: int, used: int | None = None) -> NDArray[np.int32]:
-    """The stack, copied to a longer one if there is not room for so many more."""
+    """The stack, copied to a longer one if it has no room for so many more."""
     used = len(stack) if used is None else used
     if len(stack) >= used + room:
         return stack
@@ -109,7 +118,7 @@ def _with_room(stack: NDArray[np.int32], room: int, used: int | None = None) -> 
 
 
 @njit_no_refcount
-def _go_on(
+def _expand(
     lattice: Lattice,
     seen: NDArray[np.uint8],
     stack: NDArray[np.int32],
@@ -119,7 +128,7 @@ def _go_on(
     at: int,
     budget: int,
 ) -> bool:
-    """Goes on from up to so many nodes of one flood; whether it met the other."""
+    """Expands up to so many nodes of one flood; whether it met the other."""
     top = ends[at]
     rows = 2 * lattice.headings
     other = 3 - mine
