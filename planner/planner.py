@@ -1,4 +1,4 @@
-"""Planning of footsteps: the one call behind which every search lives."""
+"""Footstep planning: `plan_footsteps`, `Planner` to plan again, `plan_through` for via poses."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ from planner.search.r_star import plan_rstar
 from planner.search.search_record import SearchRecord
 from planner.verify import violations
 
-# Which search answers to which name: one call for all, a request in and a result out.
-
+FloatArray = NDArray[np.float64]
 # Takes the request, the options and the time.perf_counter() of the request's arrival.
 Backend = Callable[[Request, PlannerOptions, float], Result]
+_ALREADY_THERE_M = 1e-6
+_ROUNDING = 1e-9
 
 
 def backend(name: str) -> Backend:
-    """The search of that name, one of `PLANNERS`. What a search loads is loaded here."""
+    """The search of that name, one of `PLANNERS`. OMPL is loaded only for those that use it."""
     if name in SAMPLING_PLANNERS:
         from planner.sampling.sampling_planner import plan_by_sampling
 
@@ -47,13 +48,10 @@ def backend(name: str) -> Backend:
     }[name]
 
 
-FloatArray = NDArray[np.float64]
-_ALREADY_THERE_M = 1e-6
-_ROUNDING = 1e-9
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Query:
+    """What `Planner.plan` is asked; stands: the feet were given, not the start pose."""
+
     goal: Pose
     start: Pose
     start_feet_world: FloatArray
@@ -62,10 +60,11 @@ class _Query:
 
 
 class Planner:
-    """Plans over one map for one robot; keeps what plans to the same goal have in common.
+    """Plans over one map for one robot; keeps lattice, checks and heuristic of the last goal.
 
-    Make one and ask it again whenever the robot must replan: the checks of the map near the goal
-    and the way are then known already.
+    Make one and use it for every replan to the same goal.
+
+    record: how the last search went, if the options ask for it; expanded cells in the world.
     """
 
     def __init__(
@@ -78,26 +77,25 @@ class Planner:
         self._tables = tables_of(model)
         self._coarse = coarse_model(model)
         reach = self.options.goal_reach_m, self.options.goal_reach_rad
-        # Planners of a path of the body know of no other end than the goal itself.
+        # Sampling planners end at the goal itself.
         self._region = Region() if self.options.name in SAMPLING_PLANNERS else Region(*reach)
         self._context: tuple[Pose, GoalContext] | None = None
-        # How the last search went, if the options ask for that: expanded cells in the world.
         self.record: SearchRecord | None = None
 
     def take_map(self, grid: OccupancyGrid) -> None:
-        """Plans over a changed map from now on; what is known where both agree is kept."""
+        """Plans over a changed map from now on; keeps what holds on both."""
         old, self.grid = self.grid, grid
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
         if self._context is None:
             return
         goal, context = self._context
-        is_alike = (
+        has_same_frame = (
             old.cells.shape == grid.cells.shape
             and old.resolution_m == grid.resolution_m
             and old.origin == grid.origin
             and context.lattice.terrain.is_flat == self._terrain.is_flat
         )
-        self._context = (goal, context.over(self._terrain)) if is_alike else None
+        self._context = (goal, context.over(self._terrain)) if has_same_frame else None
 
     def plan(
         self,
@@ -159,7 +157,7 @@ class Planner:
         )
 
     def _refusal(self, query: _Query) -> tuple[PlanStatus | None, str]:
-        """Why no search is worth starting: a status and one line, or None."""
+        """Status and reason if start or goal are off the map or blocked; None if they are free."""
         for name, pose in (("start", query.start), ("goal", query.goal)):
             if not self.grid.contains(pose[:2]):
                 x0, y0, x1, y1 = self.grid.bounds_world()
@@ -188,12 +186,12 @@ class Planner:
         return feet
 
     def _stands_too_near(self, query: _Query) -> bool:
-        """Whether the robot stands where the margins would not let it be: it must get away."""
+        """Whether the robot stands nearer to an obstacle than the margins allow; it may leave."""
         feet = query.start_feet_world
         return query.stands and bool(what_obstructs(self.grid, self._terrain, self.model, feet))
 
     def _is_there(self, query: _Query) -> bool:
-        """Whether the feet stand side by side at a pose that may be the end."""
+        """Whether the feet stand side by side at a pose of the goal region."""
         pose, goal, region = query.start, query.goal, self._region
         if (
             math.dist(pose[:2], goal[:2]) > region.reach_m
@@ -249,10 +247,7 @@ class Planner:
         return self._refined(plan, request, result) if self.options.refine else plan
 
     def _refined(self, plan: FootstepPlan, request: Request, result: Result) -> FootstepPlan:
-        """The plan with its steps moved to where they cost less.
-
-        As it was, where none is cheaper or exact polygons find anything wrong with the moved ones.
-        """
+        """The refined plan; the plan itself if that is no cheaper or `violations` finds a fault."""
         plan = replace(plan, cost_before_refinement_m=plan.cost_m)
         moved = refine(request, result)
         if moved is result:
@@ -312,7 +307,7 @@ def plan_footsteps(
 
 
 def _in_world(record: SearchRecord | None, goal: Pose) -> SearchRecord | None:
-    """The record with its cells in the world."""
+    """The record with its expanded cells in the world."""
     if record is None:
         return None
     cos, sin = math.cos(goal[2]), math.sin(goal[2])
@@ -346,14 +341,12 @@ def _to_lattice(feet_world: FloatArray, goal: Pose) -> FloatArray:
     )
 
 
-# Plans by way of poses: one search a leg, each from the feet in which the last one ended.
-
-
 def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLike]) -> FootstepPlan:
-    """From a pair pose to the last of some, standing with both feet at each of them in between.
+    """A plan from a pair pose by way of poses, standing with both feet at each of them.
 
-    start, poses: x_m, y_m, yaw_rad in the world. The bound is the worst of any leg. Where a leg
-    cannot be planned there is no plan, and the reason says which leg it is.
+    start, poses: x_m, y_m, yaw_rad in the world. One search a leg, each from the feet at which the
+    last one ended. epsilon is the largest of any leg. If a leg has no plan there is none, and the
+    reason names the leg.
     Raises ValueError for no pose, or numbers that are not finite.
     """
     if not len(poses):
@@ -391,7 +384,7 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
 
 
 def _next_leg(planner: Planner, legs: Sequence[FootstepPlan], pose: ArrayLike) -> FootstepPlan:
-    """From the feet in which the legs end, with the foot that has not just been put down."""
+    """The leg to a pose from the feet at which the legs end; the last swing foot stands first."""
     feet = legs[0].start_feet_world.copy()
     first_side = None
     for leg in legs:

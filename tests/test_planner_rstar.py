@@ -15,7 +15,7 @@ from tests.planner_oracle import Oracle, small_model
 
 
 def rstar(**changes):
-    return PlannerOptions(name="rstar", **changes)
+    return PlannerOptions(name="rstar", refine=False, **changes)
 
 
 @pytest.mark.parametrize("first", [True, False])
