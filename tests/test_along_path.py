@@ -18,9 +18,9 @@ from planner.plan import feet_at, relative_step
 from planner.planner import plan_footsteps
 from planner.robot_model import Side
 from planner.sampling import sampling_planner as sampling
-from planner.sampling.footsteps_along_path import Strand, dense
-from planner.sampling.ompl_paths import BodyWay, outline_of
-from planner.sampling.path_headings import face_the_way, turning_rate, walking_rate
+from planner.sampling.footsteps_along_path import PathFootsteps, resample
+from planner.sampling.ompl_paths import SampledPath, outline_of
+from planner.sampling.path_headings import choose_headings, turning_rate, walking_rate
 from planner.sampling.sampling_planner import (
     corridor_along,
     into_frame,
@@ -87,7 +87,7 @@ def test_no_steps_along_a_path_are_cheaper(turn_rad, first_side):
     share = np.linspace(0, 1, 19)
     path = np.column_stack([0.8 + 0.7 * share, 1.2 + 0.2 * share**2, turn_rad * share])
     stance = standing(path[0], model, first_side)
-    steps = Strand(lattice, model, path, stance).to_end()
+    steps = PathFootsteps(lattice, model, path, stance).to_end()
     assert steps is not None
     assert cost_of(lattice, model, stance, steps) == cheapest_cost_um(path, model, first_side)
     if first_side is not None:
@@ -101,14 +101,14 @@ def test_a_strand_ends_where_something_stands_in_the_way():
     grid = floor(boxes=((20, 30, 28, 32),))
     terrain = terrain_of(grid, False)
     lattice = build_lattice(grid, terrain, model, build_step_table(model), (2.0, 1.2, 0.0))
-    path = dense(np.array([[0.6, 1.2, 0.0], [2.0, 1.2, 0.0]]))
-    strand = Strand(lattice, model, path, standing(path[0], model))
-    assert strand.to_end() is None
+    path = resample(np.array([[0.6, 1.2, 0.0], [2.0, 1.2, 0.0]]))
+    along = PathFootsteps(lattice, model, path, standing(path[0], model))
+    assert along.to_end() is None
     # The body, 0.36 m long, comes as far as 0.18 m before the obstacle at 1.5 m.
-    assert path[strand.end, 0] == pytest.approx(1.3, abs=0.03)
-    point, lead = strand.to_point(strand.end)
-    assert point == strand.end
-    assert max(lead.pose[-2:, 0]) == pytest.approx(path[strand.end, 0])
+    assert path[along.end, 0] == pytest.approx(1.3, abs=0.03)
+    point, lead = along.to_point(along.end)
+    assert point == along.end
+    assert max(lead.pose[-2:, 0]) == pytest.approx(path[along.end, 0])
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -118,9 +118,9 @@ def test_the_lattice_leads_round_what_a_path_runs_into(monkeypatch, post, first)
     start, goal = (0.5, 1.2, 0.0), (1.9, 1.2, 0.0)
 
     def straight_through(name, query, limits, seed):
-        return BodyWay(corners=np.array([query.start, query.goal]), iterations=1)
+        return SampledPath(corners=np.array([query.start, query.goal]), iterations=1)
 
-    monkeypatch.setattr(sampling, "find_way", straight_through)
+    monkeypatch.setattr(sampling, "find_path", straight_through)
     options = PlannerOptions(name="rrtconnect", stop_at_first=first, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=options)
     assert plan.found
@@ -128,7 +128,7 @@ def test_the_lattice_leads_round_what_a_path_runs_into(monkeypatch, post, first)
 
 
 def test_points_of_a_path_are_near_each_other_and_turn_the_shorter_way():
-    path = dense(np.array([[0.0, 0.0, 3.0], [0.1, 0.0, 3.0], [0.1, 0.0, -3.0]]))
+    path = resample(np.array([[0.0, 0.0, 3.0], [0.1, 0.0, 3.0], [0.1, 0.0, -3.0]]))
     # 0.1 m in strides of 0.025 m, then 2 pi - 6 = 0.283 rad in turns of 0.05 rad.
     assert len(path) == 1 + 4 + 6
     np.testing.assert_allclose(path[4], [0.1, 0.0, 3.0])
@@ -151,7 +151,7 @@ def test_the_body_faces_the_way_where_there_is_room():
     terrain = terrain_of(floor(), False)
     # Sideways all the way, as a sampling planner may find it.
     corners = np.array([[0.4, 1.2, 1.5], [1.2, 1.2, 1.6], [2.0, 1.2, 1.5]])
-    poses = face_the_way(terrain, outline_of(model), model, corners)
+    poses = choose_headings(terrain, outline_of(model), model, corners)
     np.testing.assert_array_equal(poses[[0, -1]], corners[[0, -1]])
     middle = poses[(poses[:, 0] > 0.9) & (poses[:, 0] < 1.5), 2]
     assert len(middle) > 5

@@ -15,7 +15,7 @@ from controller.tracking_limits import Measured, limits_from, planning_model
 from planner.corpus.check import from_document
 from planner.options import PlannerOptions
 from planner.planner import Planner, plan_footsteps
-from planner.refinement.cost import NOT_ALLOWED, chain_cost_um
+from planner.refinement.cost import NOT_ALLOWED, plan_cost_um
 from planner.robot_model import StepLimits, StepModel
 from planner.verify import violations
 from tests.planner_floor import walled
@@ -188,7 +188,7 @@ def test_a_chain_with_a_step_outside_is_not_allowed():
     costs_um = []
     for plan in plans:
         rules, poses, outward = chain_of(planner, plan)
-        costs_um.append(chain_cost_um(rules, poses, outward))
+        costs_um.append(plan_cost_um(rules, poses, outward))
     assert costs_um[0] == pytest.approx(plans[0].cost_m * 1e6, abs=2)
     assert beyond_m(steps_of(plans[1])).max() > 1e-3
     assert costs_um[1] == NOT_ALLOWED

@@ -1,4 +1,4 @@
-"""The parts of refinement by numbers: costs, slopes, room, gaps, the banded system."""
+"""The parts of refinement by numbers: costs, slopes, distances, gaps, the banded system."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from planner.collision import terrain_of
 from planner.lattice.steps import feet_apart
 from planner.planner import Planner
 from planner.refinement.constraints import (
-    WAYS,
-    add,
-    new_work,
-    note_costs,
-    note_rules,
-    room_off_blocked,
-    take_block,
+    DIRECTIONS,
+    add_block,
+    distances_to_blocked,
+    evaluate_constraints,
+    new_workspace,
 )
 from planner.refinement.cost import (
-    build_rules,
-    chain_cost_um,
+    add,
+    add_step_cost,
     foot_height_um,
     gap_axis,
+    plan_cost_um,
+    refinement_problem,
     step_between,
 )
-from planner.refinement.interior_point import _solve
+from planner.refinement.interior_point import solve_banded
 from planner.robot_model import Side
 from tests.planner_oracle import small_model
 from tests.planner_refined import (
@@ -51,18 +51,18 @@ def test_the_cost_of_a_chain_is_that_of_the_search():
         plan = planner.plan(start=start, goal=goal)
         if not plan.found or not len(plan):
             continue
-        rules, poses, outward = chain_of(planner, plan)
-        assert chain_cost_um(rules, poses, outward) == pytest.approx(plan.cost_m * 1e6, abs=2)
-        # A foot in a wall, or a step too far, is no chain.
+        problem, poses, outward = chain_of(planner, plan)
+        assert plan_cost_um(problem, poses, outward) == pytest.approx(plan.cost_m * 1e6, abs=2)
+        # A foot in a wall, or a step too far, is no path.
         poses[1, 0] += 1.0
-        assert chain_cost_um(rules, poses, outward) == -1
+        assert plan_cost_um(problem, poses, outward) == -1
         compared += 1
 
 
 def chain_of(planner, plan):
-    """Rules of a planner's space, and a plan as a chain on a map whose origin is 0."""
+    """RefinementProblem of a planner's space, and a plan as a path on a map whose origin is 0."""
     feet = plan.start_feet_world[:, [0, 1, 3]].copy()
-    rules = build_rules(
+    problem = refinement_problem(
         planner.goal_context(plan.goal).lattice,
         planner.model,
         feet,
@@ -70,7 +70,7 @@ def chain_of(planner, plan):
         planner.model.body_margin_m,
     )
     poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
-    return rules, poses, float(Side(int(plan.side[0])).outward)
+    return problem, poses, float(Side(int(plan.side[0])).outward)
 
 
 def test_slopes_of_rules_and_costs_are_those_of_differences():
@@ -81,25 +81,29 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
     planner = Planner(grid, model, LATTICE)
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     assert plan.found
-    rules, chain, first = chain_of(planner, plan)
-    lattice = rules.lattice
+    problem, path, first = chain_of(planner, plan)
+    lattice = problem.lattice
     seen = 0
     for _ in range(10):
-        poses = chain + rng.uniform(-0.02, 0.02, chain.shape)
+        poses = path + rng.uniform(-0.02, 0.02, path.shape)
         i = int(rng.integers(1, len(poses) - 3))
         outward = first * (-1) ** i
-        work = new_work(lattice, len(poses) - 1, len(rules.reach))
-        note_rules(rules, work, poses, first)
-        value, slope, active = work.value[i].copy(), work.slope[i].copy(), work.active[i].copy()
-        work.block[:] = 0.0
-        note_costs(rules.weights, i, work.step, work.along, work.block)
+        workspace = new_workspace(lattice, len(poses) - 1, len(problem.reach))
+        evaluate_constraints(problem, workspace, poses, first)
+        value, gradient, active = (
+            workspace.value[i].copy(),
+            workspace.gradient[i].copy(),
+            workspace.active[i].copy(),
+        )
+        workspace.block[:] = 0.0
+        add_step_cost(problem.weights, i, workspace.step, workspace.along, workspace.block)
         for k in range(6):
             nudged = poses.copy()
             nudged[i + k // 3, k % 3] += 1e-7
-            note_rules(rules, work, nudged, first)
-            same = active & work.active[i]
-            rate = (work.value[i] - value)[same] / 1e-7
-            np.testing.assert_allclose(rate, slope[same, k], atol=2e-5)
+            evaluate_constraints(problem, workspace, nudged, first)
+            same = active & workspace.active[i]
+            rate = (workspace.value[i] - value)[same] / 1e-7
+            np.testing.assert_allclose(rate, gradient[same, k], atol=2e-5)
             seen += int(same.sum())
             # The last column of the block is minus the gradient of the cost.
             costs = []
@@ -110,7 +114,7 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
                 costs.append(math.hypot(x, y) + smooth(0.05, yaw) + smooth(0.2, y - 0.2))
                 costs[-1] += 0.5 * (smooth(0.2, x) - 0.2 * x)
             gradient = (costs[0] - costs[1]) / 2e-5
-            assert work.block[k, 6] == pytest.approx(-gradient, abs=1e-4)
+            assert workspace.block[k, 6] == pytest.approx(-gradient, abs=1e-4)
     assert seen > 300
 
 
@@ -125,11 +129,11 @@ def test_room_around_a_box_is_right_by_polygons():
     walls = shapely.union_all(
         shapely.box(col * 0.05, row * 0.05, (col + 1) * 0.05, (row + 1) * 0.05)
     )
-    room = np.zeros((WAYS, 4))
+    distances = np.zeros((DIRECTIONS, 4))
     touched = 0
     for _ in range(300):
         x, y, yaw = rng.uniform((0.4, 0.4, -3.2), (2.6, 2.6, 3.2))
-        near = room_off_blocked(terrain, x, y, yaw, 0.15, 0.08, 0.1, room)
+        near = distances_to_blocked(terrain, x, y, yaw, 0.15, 0.08, 0.1, distances)
         box = affinity.rotate(
             shapely.box(-0.15, -0.08, 0.15, 0.08), yaw, origin=(0, 0), use_radians=True
         )
@@ -138,7 +142,7 @@ def test_room_around_a_box_is_right_by_polygons():
             assert distance_m > 0.1
             continue
         # Along its axis a gap is at most the distance; corner to corner it may be smaller.
-        least = room[:, 0].min()
+        least = distances[:, 0].min()
         assert least <= distance_m + 1e-4
         assert (least > -1.1e-5) or distance_m == 0
         assert distance_m == 0 or least >= distance_m / math.sqrt(2) - 1e-4 or distance_m > 0.1
@@ -159,22 +163,22 @@ def test_the_banded_system_is_solved_as_a_dense_one():
     planner = Planner(FLOOR, small_model(), LATTICE)
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     rng = np.random.default_rng(1)
-    work = new_work(planner.goal_context(plan.goal).lattice, len(plan), 0)
-    size = len(work.right)
+    workspace = new_workspace(planner.goal_context(plan.goal).lattice, len(plan), 0)
+    size = len(workspace.right)
     dense, right = np.eye(size), np.zeros(size)
-    work.matrix[:, 0] = 1.0
-    for i in range(len(work.value)):
+    workspace.matrix[:, 0] = 1.0
+    for i in range(len(workspace.value)):
         along = rng.normal(size=6)
-        work.block[:] = 0.0
-        add(work.block, 2.0, along[None, None], 0, 0, 3.0)
-        take_block(work.block, i, work.matrix, work.right)
+        workspace.block[:] = 0.0
+        add(workspace.block, 2.0, along[None, None], 0, 0, 3.0)
+        add_block(workspace.block, i, workspace.matrix, workspace.right)
         whole = np.zeros(size + 6)
         whole[3 * i : 3 * i + 6] = along
         whole = whole[3 : size + 3]
         dense += 2.0 * np.outer(whole, whole)
         right += 3.0 * whole
-    assert _solve(work.matrix, work.right)
-    np.testing.assert_allclose(work.right, np.linalg.solve(dense, right), rtol=1e-9, atol=1e-9)
+    assert solve_banded(workspace.matrix, workspace.right)
+    np.testing.assert_allclose(workspace.right, np.linalg.solve(dense, right), rtol=1e-9, atol=1e-9)
 
 
 def test_height_under_a_foot_is_that_of_its_tread_or_none():

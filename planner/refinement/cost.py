@@ -1,4 +1,4 @@
-"""A plan as a chain of foot poses off the lattice: what it costs, and whether it may be walked.
+"""Cost and validity of a plan off the lattice: a path of foot poses.
 
 Poses here are x_m, y_m, yaw_rad in the grid frame. Pose 0 is the foot that stands while the first
 step is taken, poses 1 to N are the steps; the last two are the feet at the goal.
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import NO_GROUND_UM, box_free, box_heights, point_clearance
+from planner.collision import NO_GROUND_UM, Terrain, box_free, box_heights, point_clearance
 from planner.compiled import njit_no_refcount
 from planner.lattice.lattice import Lattice, clearance_cost, swing_clears
 from planner.lattice.steps import MICRO
@@ -21,17 +21,19 @@ from planner.robot_model import StepModel
 FloatArray = NDArray[np.float64]
 NOT_ALLOWED = -1
 _TOLERANCE = 1e-9
+_CORNER_M = 1e-3  # over which the corners of the cost are rounded off
+_HINGE_M = 0.05  # over which the clearance is smoothed
 
 
-class Rules(NamedTuple):
-    """What holds for every chain of one plan.
+class RefinementProblem(NamedTuple):
+    """What holds for every path of one plan on a map.
 
     limits (6,): low and high of a step's x, y and yaw, outward positive. reach (k, 3): half planes
     n . (x, y) <= c in which a step's x and y lie, as (n, c), if there are any. foot: half length
     and half width of the foot, half of the gap between feet included. first_body: half length and
     half width of the body at the first pair pose, where the robot may stand nearer than the margin.
     weights: stance width, and the costs of a step, of turning, of y off the stance width, of going
-    back.
+    back. feet (2, 3), feet_um (2,): where the robot stands.
     """
 
     lattice: Lattice
@@ -44,16 +46,16 @@ class Rules(NamedTuple):
     feet_um: NDArray[np.int64]
 
 
-def build_rules(
+def refinement_problem(
     lattice: Lattice,
     model: StepModel,
     feet: FloatArray,
     feet_um: NDArray[np.int64],
     first_body_margin_m: float,
-) -> Rules:
-    """The rules of a step model in a space, for a robot that stands on feet (2, 3)."""
+) -> RefinementProblem:
+    """The problem of a step model on a map, for a robot that stands on feet (2, 3)."""
     limits, half_gap_m = model.limits, model.foot_gap_m / 2
-    return Rules(
+    return RefinementProblem(
         lattice=lattice,
         limits=np.array([*limits.x_m, *limits.y_m, *limits.yaw_rad]),
         reach=np.ascontiguousarray(limits.half_planes),
@@ -96,10 +98,10 @@ def step_between(
 def gap_axis(
     x: float, y: float, yaw: float, half_l: float, half_w: float
 ) -> tuple[float, float, float, float]:
-    """How far apart two grown feet are along the best of four axes, and how that changes.
+    """Distance of two grown feet along the best of four separating axes, and its derivatives.
 
-    Returns the distance in metres, negative where the boxes overlap, and its derivatives by x, y
-    and yaw of the step. The axes are those of `lattice.feet_apart`.
+    The distance is in metres, negative where the boxes overlap; the derivatives are by x, y and yaw
+    of the step. The axes are those of `lattice.steps.feet_apart`.
     """
     cos, sin = math.cos(yaw), math.sin(yaw)
     cos_sign, sin_sign = (1.0 if cos >= 0 else -1.0), (1.0 if sin >= 0 else -1.0)
@@ -155,7 +157,7 @@ def foot_height_um(lattice: Lattice, pose: FloatArray) -> int:
 
 
 @njit_no_refcount
-def _climbs(
+def _step_climbs(
     lattice: Lattice,
     support: FloatArray,
     swing: FloatArray,
@@ -163,7 +165,7 @@ def _climbs(
     swing_um: int,
     outward: float,
 ) -> bool:
-    """Whether a step is within the limits of rise and of what it swings over, as in `rise.py`."""
+    """Whether a step keeps the limits of rise and of swing height, as `lattice.step_climbs`."""
     if len(lattice.node_um) == 0:
         return True
     rise = swing_um - support_um
@@ -186,9 +188,9 @@ def pair_pose_of(support: FloatArray, swing: FloatArray) -> tuple[float, float, 
 
 
 @njit_no_refcount
-def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
+def _within_limits(problem: RefinementProblem, x: float, y: float, yaw: float) -> bool:
     """Whether a step is within the limits and keeps the feet apart."""
-    limits, reach, foot = rules.limits, rules.reach, rules.foot
+    limits, reach, foot = problem.limits, problem.reach, problem.foot
     for k in range(len(reach)):
         if reach[k, 0] * x + reach[k, 1] * y > reach[k, 2] + _TOLERANCE:
             return False
@@ -201,29 +203,29 @@ def _within(rules: Rules, x: float, y: float, yaw: float) -> bool:
 
 
 @njit_no_refcount
-def chain_cost_um(rules: Rules, poses: FloatArray, first_outward: float) -> int:
-    """Cost of a chain (N + 1, 3) as the search counts it, or NOT_ALLOWED if it breaks a rule.
+def plan_cost_um(problem: RefinementProblem, poses: FloatArray, first_outward: float) -> int:
+    """Cost of a path (N + 1, 3) as the search counts it, or NOT_ALLOWED if a step is not valid.
 
     first_outward: sign of the first step's side.
     """
-    lattice = rules.lattice
-    stance, per_step, per_turn, per_side, per_back = rules.weights
+    lattice = problem.lattice
+    stance, per_step, per_turn, per_side, per_back = problem.weights
     total, outward = 0, first_outward
-    support_um = rules.feet_um[1 if first_outward > 0 else 0]
+    support_um = problem.feet_um[1 if first_outward > 0 else 0]
     for i in range(1, len(poses)):
         x, y, yaw = step_between(poses[i - 1], poses[i], outward)
-        if not _within(rules, x, y, yaw):
+        if not _within_limits(problem, x, y, yaw):
             return NOT_ALLOWED
         swing_um = foot_height_um(lattice, poses[i])
-        if not _climbs(lattice, poses[i - 1], poses[i], support_um, swing_um, outward):
+        if not _step_climbs(lattice, poses[i - 1], poses[i], support_um, swing_um, outward):
             return NOT_ALLOWED
         cost_m = math.hypot(x, y) + per_step + per_turn * abs(yaw)
         cost_m += per_side * abs(y - stance) + per_back * max(-x, 0.0)
         total += int(np.rint(cost_m * MICRO))
-        # Both feet of the last step stand where the goal wants them, clear of everything.
+        # The last step ends at the goal feet, which are free.
         if i < len(poses) - 1:
             pair_x, pair_y, pair_yaw = pair_pose_of(poses[i - 1], poses[i])
-            body = rules.first_body if i == 1 else lattice.body
+            body = problem.first_body if i == 1 else lattice.body
             cos, sin = math.cos(pair_yaw), math.sin(pair_yaw)
             if not box_free(lattice.terrain, pair_x, pair_y, cos, sin, body[0], body[1]):
                 return NOT_ALLOWED
@@ -232,3 +234,102 @@ def chain_cost_um(rules: Rules, poses: FloatArray, first_outward: float) -> int:
                 return NOT_ALLOWED
         outward, support_um = -outward, swing_um
     return total
+
+
+@njit_no_refcount
+def add(
+    block: FloatArray, curvature: float, gradient: FloatArray, i: int, row: int, multiplier: float
+) -> None:
+    """Adds curvature * v * v^T and multiplier * v to a block (6, 7), with v = gradient[i, row]."""
+    for a in range(6):
+        along = gradient[i, row, a]
+        block[a, 6] += multiplier * along
+        for b in range(6):
+            block[a, b] += curvature * along * gradient[i, row, b]
+
+
+@njit_no_refcount
+def add_step_cost(
+    weights: tuple[float, float, float, float, float],
+    i: int,
+    step: FloatArray,
+    along: FloatArray,
+    block: FloatArray,
+) -> float:
+    """Adds negative gradient and Hessian of the cost of step i to the block; returns it in metres.
+
+    |t| is taken as sqrt(t^2 + _CORNER_M^2), with the curvature of the parabola that touches it from
+    above there: the true one is too small away from 0, so a Newton step would go too far. along
+    (1, 1, 6) is scratch.
+    """
+    stance, per_step, per_turn, per_side, per_back = weights
+    x, y, yaw = step[i, 0, 6], step[i, 1, 6], step[i, 2, 6]
+    length = math.sqrt(x * x + y * y)
+    # Along and across the step: turning the support foot changes no distance.
+    u, v = x / max(length, _CORNER_M), y / max(length, _CORNER_M)
+    for k in range(6):
+        along[0, 0, k] = u * step[i, 0, k] + v * step[i, 1, k]
+    add(block, 0.0, along, 0, 0, -1.0)
+    for k in range(6):
+        along[0, 0, k] = v * step[i, 0, k] - u * step[i, 1, k]
+    along[0, 0, 2] = along[0, 0, 5] = 0.0
+    add(block, 1.0 / max(length, _CORNER_M), along, 0, 0, 0.0)
+    if per_turn > 0.0:
+        size = math.sqrt(yaw * yaw + _CORNER_M * _CORNER_M)
+        add(block, per_turn / size, step, i, 2, -per_turn * yaw / size)
+    if per_side > 0.0:
+        off = y - stance
+        size = math.sqrt(off * off + _CORNER_M * _CORNER_M)
+        add(block, per_side / size, step, i, 1, -per_side * off / size)
+    if per_back > 0.0:
+        # max(-x, 0) is (|x| - x) / 2.
+        size = math.sqrt(x * x + _CORNER_M * _CORNER_M)
+        add(block, 0.5 * per_back / size, step, i, 0, -0.5 * per_back * (x / size - 1.0))
+    cost_m = length + per_step + per_turn * abs(yaw) + per_side * abs(y - stance)
+    return cost_m + per_back * max(-x, 0.0)
+
+
+@njit_no_refcount
+def add_clearance_cost(
+    terrain: Terrain,
+    clearance: tuple[float, float, float],
+    poses: FloatArray,
+    i: int,
+    along: FloatArray,
+    block: FloatArray,
+) -> float:
+    """Adds the clearance cost of the pair pose, with derivatives by differences over _HINGE_M.
+
+    Returns that cost in metres, as the search counts it.
+    """
+    wanted_m, worst_m, most_um = clearance
+    x, y, _ = pair_pose_of(poses[i], poses[i + 1])
+    size, field = terrain.resolution_m, terrain.clearance_m
+    here = _smooth(field, size, x, y)
+    if here > wanted_m + _HINGE_M:
+        return 0.0
+    rate = most_um / MICRO / (wanted_m - worst_m)
+    here = rate * max(wanted_m - here, 0.0)
+    for axis in range(2):
+        step_x, step_y = (_HINGE_M, 0.0) if axis == 0 else (0.0, _HINGE_M)
+        more = rate * max(wanted_m - _smooth(field, size, x + step_x, y + step_y), 0.0)
+        less = rate * max(wanted_m - _smooth(field, size, x - step_x, y - step_y), 0.0)
+        along[:] = 0.0
+        along[0, 0, axis] = along[0, 0, axis + 3] = 0.5
+        curvature = max((more - 2.0 * here + less) / (_HINGE_M * _HINGE_M), 0.0)
+        add(block, curvature, along, 0, 0, -(more - less) / (2.0 * _HINGE_M))
+    short_m = wanted_m - point_clearance(terrain, x, y)
+    return most_um / MICRO * min(max(short_m / (wanted_m - worst_m), 0.0), 1.0)
+
+
+@njit_no_refcount
+def _smooth(field: NDArray[np.float32], size: float, x: float, y: float) -> float:
+    """Clearance at a point, linear between the centres of cells."""
+    rows, cols = field.shape
+    col = min(max(x / size - 0.5, 0.0), cols - 1.0)
+    row = min(max(y / size - 0.5, 0.0), rows - 1.0)
+    col0, row0 = int(col), int(row)
+    col1, row1 = min(col0 + 1, cols - 1), min(row0 + 1, rows - 1)
+    u, v = col - col0, row - row0
+    low = (1.0 - u) * field[row0, col0] + u * field[row0, col1]
+    return (1.0 - v) * low + v * ((1.0 - u) * field[row1, col0] + u * field[row1, col1])

@@ -1,9 +1,9 @@
-"""Interior-point method that moves the steps of a chain to where they cost least, compiled.
+"""Interior-point method that moves the steps of a path to lower their cost, compiled.
 
 Newton's method on the barrier problem with slack variables (Nocedal and Wright, "Numerical
 Optimization", 2006, section 19.3): minimise f(z) - mu sum log s subject to c(z) = s, s > 0, with
-the distances c(z) made linear anew in every iteration. Slacks let it begin where rules are broken.
-The matrix is banded (`barrier.py`), so an iteration takes time proportional to the number of steps.
+the constraints c(z) linearised in every iteration. With slacks it may begin where constraints are
+violated. The matrix is banded, so an iteration takes time proportional to the number of steps.
 """
 
 from __future__ import annotations
@@ -16,102 +16,111 @@ from numpy.typing import NDArray
 from planner.compiled import njit_arrays, njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.refinement.constraints import (
-    SPARE_M,
-    Work,
-    add,
-    new_work,
-    note_clearance,
-    note_costs,
-    note_rules,
-    take_block,
+    MARGIN_M,
+    Workspace,
+    add_block,
+    evaluate_constraints,
+    new_workspace,
 )
-from planner.refinement.cost import NOT_ALLOWED, Rules, chain_cost_um
+from planner.refinement.cost import (
+    NOT_ALLOWED,
+    RefinementProblem,
+    add,
+    add_clearance_cost,
+    add_step_cost,
+    plan_cost_um,
+)
 
 FloatArray = NDArray[np.float64]
 _MOST_M, _MOST_RAD = 0.06, 0.15  # that a pose moves in one iteration
 _DAMP_POSITION, _DAMP_YAW = 0.3, 0.1
 _FIRST_MU, _LAST_MU = 1e-2, 1e-5
 _LEAST_SLACK_M = 0.01
-_TO_EDGE = 0.95  # part of the way to the edge of what is allowed that one iteration goes at most
+_TO_BOUNDARY = 0.95  # of the way to the boundary, at most, in one iteration
 
 
 @njit_arrays
 def relax(
-    rules: Rules,
+    problem: RefinementProblem,
     poses: FloatArray,
     first_outward: float,
     iterations: int,
     enough_um: int,
     best: FloatArray,
 ) -> int:
-    """Moves the free poses of a chain (N + 1, 3) to lower its cost.
+    """Moves the free poses of a path (N + 1, 3) to lower its cost.
 
-    Ends after so many iterations, or when a chain that breaks no rule costs less than enough_um.
-    best (N + 1, 3): gets the cheapest such chain on the way. Returns its cost in micrometres, or
-    NOT_ALLOWED if there was none.
+    Ends after so many iterations, or when a valid path costs less than enough_um. best (N + 1, 3):
+    receives the cheapest valid path. Returns its cost in micrometres, NOT_ALLOWED if there is none.
     """
     if len(poses) <= 3:
         best[:] = poses
-        return chain_cost_um(rules, poses, first_outward)
-    work = new_work(rules.lattice, len(poses) - 1, len(rules.reach))
-    is_flat = len(rules.lattice.node_um) == 0
+        return plan_cost_um(problem, poses, first_outward)
+    workspace = new_workspace(problem.lattice, len(poses) - 1, len(problem.reach))
+    is_flat = len(problem.lattice.node_um) == 0
     mu, least_m = _FIRST_MU, math.inf
     for iteration in range(iterations):
-        worst, cost_m = _build(rules, work, poses, first_outward, mu)
-        # The rules are all there is but for the heights of stairs.
-        cheaper = worst < SPARE_M and cost_m < least_m
-        if cheaper and (is_flat or chain_cost_um(rules, poses, first_outward) != NOT_ALLOWED):
+        worst, cost_m = _build(problem, workspace, poses, first_outward, mu)
+        # The constraints cover everything but the heights of stairs.
+        cheaper = worst < MARGIN_M and cost_m < least_m
+        if cheaper and (is_flat or plan_cost_um(problem, poses, first_outward) != NOT_ALLOWED):
             least_m = cost_m
             best[:] = poses
             if least_m * MICRO < enough_um:
                 break
-        if iteration == iterations - 1 or not _solve(work.matrix, work.right):
+        if iteration == iterations - 1 or not solve_banded(workspace.matrix, workspace.right):
             break
-        mu = min(mu, max(_LAST_MU, 0.3 * _advance(work, poses, mu)))
+        mu = min(mu, max(_LAST_MU, 0.3 * _advance(workspace, poses, mu)))
     if least_m == math.inf:
         return NOT_ALLOWED
-    return chain_cost_um(rules, best, first_outward)
+    return plan_cost_um(problem, best, first_outward)
 
 
 @njit_arrays
 def _build(
-    rules: Rules, work: Work, poses: FloatArray, first_outward: float, mu: float
+    problem: RefinementProblem,
+    workspace: Workspace,
+    poses: FloatArray,
+    first_outward: float,
+    mu: float,
 ) -> tuple[float, float]:
-    """Builds the system at the poses; returns how far a rule is broken at worst, and the cost."""
-    value, slope, slack, force = work.value, work.slope, work.slack, work.force
-    active, matrix, right, step = work.active, work.matrix, work.right, work.step
-    block, along, weights = work.block, work.along, rules.weights
-    terrain, clearance = rules.lattice.terrain, rules.lattice.clearance
+    """Builds the system at the poses; returns the worst violation, and the cost."""
+    value, gradient = workspace.value, workspace.gradient
+    slack, multiplier = workspace.slack, workspace.multiplier
+    active, step = workspace.active, workspace.step
+    matrix, right = workspace.matrix, workspace.right
+    block, along, weights = workspace.block, workspace.along, problem.weights
+    terrain, clearance = problem.lattice.terrain, problem.lattice.clearance
     matrix[:] = 0.0
     right[:] = 0.0
     for k in range(len(right)):
         matrix[k, 0] = _DAMP_YAW if k % 3 == 2 else _DAMP_POSITION
     was = active.copy()
-    note_rules(rules, work, poses, first_outward)
-    # The last step, from one foot of the goal to the other, has no rules and one cost.
+    evaluate_constraints(problem, workspace, poses, first_outward)
+    # The last step, from one foot of the goal to the other, has no constraints and a fixed cost.
     worst, cost_m = 0.0, weights[0] + weights[1]
     for i in range(len(value)):
         block[:] = 0.0
-        cost_m += note_costs(weights, i, step, along, block)
+        cost_m += add_step_cost(weights, i, step, along, block)
         if clearance[2] > 0.0:
-            cost_m += note_clearance(terrain, clearance, poses, i, along, block)
+            cost_m += add_clearance_cost(terrain, clearance, poses, i, along, block)
         for row in range(value.shape[1]):
             if not active[i, row]:
                 continue
             worst = max(worst, -value[i, row])
             if not was[i, row]:
                 slack[i, row] = max(value[i, row], _LEAST_SLACK_M)
-                force[i, row] = mu / slack[i, row]
-            curve = force[i, row] / slack[i, row]
-            pull = mu / slack[i, row] - curve * (value[i, row] - slack[i, row])
-            add(block, curve, slope, i, row, pull)
-        take_block(block, i, matrix, right)
+                multiplier[i, row] = mu / slack[i, row]
+            curvature = multiplier[i, row] / slack[i, row]
+            pull = mu / slack[i, row] - curvature * (value[i, row] - slack[i, row])
+            add(block, curvature, gradient, i, row, pull)
+        add_block(block, i, matrix, right)
     return worst, cost_m
 
 
 @njit_no_refcount
-def _solve(matrix: FloatArray, right: FloatArray) -> bool:
-    """Solves the banded system in place by Cholesky's method; whether it could be."""
+def solve_banded(matrix: FloatArray, right: FloatArray) -> bool:
+    """Solves the banded system in place by Cholesky's method; False if it is not definite."""
     size, band = matrix.shape
     for row in range(size):
         low = max(0, row - band + 1)
@@ -136,13 +145,14 @@ def _solve(matrix: FloatArray, right: FloatArray) -> bool:
 
 
 @njit_no_refcount
-def _advance(work: Work, poses: FloatArray, mu: float) -> float:
-    """Goes along the solution as far as it may; returns the mean of slack times force.
+def _advance(workspace: Workspace, poses: FloatArray, mu: float) -> float:
+    """Takes the Newton step as far as allowed; returns the mean of slack times multiplier.
 
-    Slacks move by ds = A dz + c - s, forces by dl = mu / s - l - l / s ds.
+    Slacks move by ds = A dz + c - s, multipliers by dl = mu / s - l - l / s ds.
     """
-    value, slope, slack, force = work.value, work.slope, work.slack, work.force
-    active, toward, right = work.active, work.toward, work.right
+    value, gradient = workspace.value, workspace.gradient
+    slack, multiplier = workspace.slack, workspace.multiplier
+    active, newton, right = workspace.active, workspace.newton, workspace.right
     part, dual = 1.0, 1.0
     for k in range(len(right)):
         most = _MOST_RAD if k % 3 == 2 else _MOST_M
@@ -152,23 +162,23 @@ def _advance(work: Work, poses: FloatArray, mu: float) -> float:
         for row in range(value.shape[1]):
             if not active[i, row]:
                 continue
-            s, f = slack[i, row], force[i, row]
+            s, f = slack[i, row], multiplier[i, row]
             d_slack = value[i, row] - s
             for a in range(max(0, -base), min(6, len(right) - base)):
-                d_slack += slope[i, row, a] * right[base + a]
-            d_force = mu / s - f - f / s * d_slack
-            toward[i, row, 0], toward[i, row, 1] = d_slack, d_force
-            if part * d_slack < -_TO_EDGE * s:
-                part = -_TO_EDGE * s / d_slack
-            if dual * d_force < -_TO_EDGE * f:
-                dual = -_TO_EDGE * f / d_force
+                d_slack += gradient[i, row, a] * right[base + a]
+            d_multiplier = mu / s - f - f / s * d_slack
+            newton[i, row, 0], newton[i, row, 1] = d_slack, d_multiplier
+            if part * d_slack < -_TO_BOUNDARY * s:
+                part = -_TO_BOUNDARY * s / d_slack
+            if dual * d_multiplier < -_TO_BOUNDARY * f:
+                dual = -_TO_BOUNDARY * f / d_multiplier
     total, number = 0.0, 0
     for i in range(len(value)):
         for row in range(value.shape[1]):
             if active[i, row]:
-                slack[i, row] += part * toward[i, row, 0]
-                force[i, row] += dual * toward[i, row, 1]
-                total += slack[i, row] * force[i, row]
+                slack[i, row] += part * newton[i, row, 0]
+                multiplier[i, row] += dual * newton[i, row, 1]
+                total += slack[i, row] * multiplier[i, row]
                 number += 1
     for k in range(len(right)):
         poses[1 + k // 3, k % 3] += part * right[k]

@@ -1,14 +1,14 @@
 """Refinement of a plan off the lattice: its steps move to where they cost less, and get fewer.
 
-The search rounds every step to a lattice and takes steps from a set; the robot could make any step
-within its limits. So the steps of the plan found are moved continuously, within the same limits and
-clear of the same obstacles, until they cost least (`relax.py`). What that straightens needs fewer
-steps: the chain is laid out anew with fewer, each longer, and moved again, as long as that works.
-The last two feet stay those of the goal, the start feet where the robot stands.
+The search rounds every step to a lattice and takes steps from a set; the robot can make any step
+within its limits. So the steps of the plan are moved continuously, within the same limits and clear
+of the same obstacles, to the least cost (`interior_point`). A straighter path needs fewer steps: it
+is resampled with fewer and longer ones and relaxed again, as long as that is valid and cheaper. The
+last two feet stay those of the goal, the start feet where the robot stands.
 
-Where turning is cheap, walking straight with both feet turned out is the cheapest of all, for the
-way from foot to foot then crosses over less. No robot should walk like that, so while steps move a
-radian costs at least _LEAST_TURN_COST_M. The plan is taken only if it is cheaper without that, too.
+Where turning is cheap, walking straight with both feet turned out would be cheapest, because the
+line from foot to foot crosses over less. No robot should walk like that, so a radian costs at least
+_LEAST_TURN_COST_M during refinement. The plan is taken only if it is cheaper by its own cost too.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from planner.lattice.steps import MICRO
 from planner.plan import wrap_angle
 from planner.refinement.cost import (
     NOT_ALLOWED,
-    Rules,
-    build_rules,
-    chain_cost_um,
+    RefinementProblem,
     foot_height_um,
+    plan_cost_um,
+    refinement_problem,
     turn_between,
 )
 from planner.refinement.interior_point import relax
 from planner.search.problem import Request, Result
 
 FloatArray = NDArray[np.float64]
-_ITERATIONS = 12  # of one attempt; nearly all that succeed at all do so in fewer
+_ITERATIONS = 12  # of one attempt; nearly all that succeed need fewer
 _LAST_ITERATIONS = 20
 _LEAST_TURN_COST_M = 0.2
-_PARTS = 10  # at first one step in so many is left out at once
+_PARTS = 10  # at first one step in so many is left out
 
 
-class _Chain(NamedTuple):
-    """Poses (N + 1, 3) as in `chain.py`, the sign of the first step's side, and the cost."""
+class _FootPath(NamedTuple):
+    """Poses (N + 1, 3) as in `cost.py`, the sign of the first step's side, and the cost."""
 
     poses: FloatArray
     outward: float
@@ -52,12 +52,12 @@ class _Chain(NamedTuple):
 def refine(request: Request, result: Result) -> Result:
     """The result of a search with its steps moved, and perhaps fewer, at a lower cost.
 
-    The same result where nothing cheaper is found. It depends on nothing but its arguments.
+    The same result where nothing cheaper is found.
     """
     lattice, model = request.lattice, request.model
     if len(result.side) <= 2:
         return result
-    rules = build_rules(
+    problem = refinement_problem(
         lattice,
         model,
         _to_grid(request.feet_lattice, lattice.frame),
@@ -67,15 +67,15 @@ def refine(request: Request, result: Result) -> Result:
     outward = 1.0 - 2.0 * result.side[0]
     poses = np.vstack([request.feet_lattice[1 - result.side[0]], result.pose_lattice])
     poses = _to_grid(poses, lattice.frame)
-    stance, per_step, per_turn, per_side, per_back = rules.weights
+    stance, per_step, per_turn, per_side, per_back = problem.weights
     weights = stance, per_step, max(per_turn, _LEAST_TURN_COST_M), per_side, per_back
-    straight = rules._replace(weights=weights)
-    before_um = chain_cost_um(straight, poses, outward)
+    straight = problem._replace(weights=weights)
+    before_um = plan_cost_um(straight, poses, outward)
     if before_um == NOT_ALLOWED:
         return result
     may_swap = request.first_side is None
-    found, outward, _ = _shorten(straight, _Chain(poses, outward, before_um), may_swap)
-    found_um = chain_cost_um(rules, found, outward)
+    found, outward, _ = _shorten(straight, _FootPath(poses, outward, before_um), may_swap)
+    found_um = plan_cost_um(problem, found, outward)
     if not 0 <= found_um < round(result.cost_m * MICRO):
         return result
     first = 0 if outward > 0 else 1
@@ -97,7 +97,7 @@ def refine(request: Request, result: Result) -> Result:
 def _to_grid(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
     """Poses (n, 3) of the lattice frame in the grid frame."""
     x, y, cos, sin = frame
-    in_grid = np.empty(poses.shape)  # row by row: what is called is compiled for that order alone
+    in_grid = np.empty(poses.shape)  # C order: functions are compiled for that order alone
     in_grid[:, 0] = x + cos * poses[:, 0] - sin * poses[:, 1]
     in_grid[:, 1] = y + sin * poses[:, 0] + cos * poses[:, 1]
     in_grid[:, 2] = poses[:, 2] + math.atan2(sin, cos)
@@ -112,68 +112,73 @@ def _to_lattice(poses: FloatArray, frame: tuple[float, float, float, float]) -> 
     return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, yaw])
 
 
-# Not compiled: it calls little, and would take longer to compile than all that it calls.
-def _shorten(rules: Rules, found: _Chain, may_swap: bool) -> _Chain:
-    """The cheapest chain found from a chain on."""
+# Not compiled: it makes few calls, and would take long to compile.
+def _shorten(problem: RefinementProblem, found: _FootPath, may_swap: bool) -> _FootPath:
+    """The cheapest path found, with as many steps as the given one or fewer."""
     swaps = (False, True) if may_swap else (False,)
-    best = _moved(rules, found, len(found.poses) - 1, False, _ITERATIONS, 0)
+    best = _relaxed(problem, found, len(found.poses) - 1, False, _ITERATIONS, 0)
     fewer = max(1, len(found.poses) // _PARTS)
     while fewer > 0:
         before, steps = best, len(best.poses) - 1 - fewer
         for swap in swaps:
             if steps >= 2 and best is before:
-                best = _moved(rules, before, steps, swap, _ITERATIONS, before.cost_um)
+                best = _relaxed(problem, before, steps, swap, _ITERATIONS, before.cost_um)
         if best is before:
             fewer = 1 if fewer > 1 else 0
     for swap in swaps:
-        best = _moved(rules, best, len(best.poses) - 1, swap, _LAST_ITERATIONS, 0)
+        best = _relaxed(problem, best, len(best.poses) - 1, swap, _LAST_ITERATIONS, 0)
     return best
 
 
-def _moved(
-    rules: Rules, chain: _Chain, steps: int, swap: bool, iterations: int, enough_um: int
-) -> _Chain:
-    """A chain with so many steps along the way of another, or that one if it is no cheaper.
+def _relaxed(
+    problem: RefinementProblem,
+    path: _FootPath,
+    steps: int,
+    swap: bool,
+    iterations: int,
+    enough_um: int,
+) -> _FootPath:
+    """A path with so many steps along another one, relaxed; the other one if it is no cheaper.
 
     swap: the other foot goes first. iterations, enough_um: as in `relax`.
     """
-    trial = _laid_out(rules.feet, chain.poses, chain.outward, steps, swap)
-    outward = -chain.outward if swap else chain.outward
+    trial = _resampled(problem.feet, path.poses, path.outward, steps, swap)
+    outward = -path.outward if swap else path.outward
     best = np.empty_like(trial)
-    cost_um = relax(rules, trial, outward, iterations, enough_um, best)
-    if cost_um == NOT_ALLOWED or cost_um >= chain.cost_um:
-        return chain
-    return _Chain(best, outward, cost_um)
+    cost_um = relax(problem, trial, outward, iterations, enough_um, best)
+    if cost_um == NOT_ALLOWED or cost_um >= path.cost_um:
+        return path
+    return _FootPath(best, outward, cost_um)
 
 
 @njit_arrays
-def _laid_out(
+def _resampled(
     feet: FloatArray, poses: FloatArray, outward: float, steps: int, swap: bool
 ) -> FloatArray:
-    """Chain (steps + 1, 3) along the way of another (N + 1, 3) that begins at feet (2, 3).
+    """Path (steps + 1, 3) along another (N + 1, 3) that begins at feet (2, 3).
 
-    Left and right feet each go along the line through their places in the old chain, at equal parts
-    of its duration. swap: the other foot goes first.
+    Left and right feet each follow the line through their places in the old path, at equal times.
+    swap: the other foot goes first.
     """
     old = len(poses) - 1
-    chain = np.empty((steps + 1, 3))
+    path = np.empty((steps + 1, 3))
     for i in range(steps + 1):
-        # Old chains have the first support foot's places at even numbers.
+        # Even numbers of the old path are the first support foot's.
         parity = (i + 1) % 2 if swap else i % 2
         at = i * old / steps
         before = 2 * math.floor((at - parity) / 2.0) + parity
         if i >= steps - 1 or before + 2 > old:
-            chain[i] = poses[old if old % 2 == parity else old - 1]
+            path[i] = poses[old if old % 2 == parity else old - 1]
             continue
-        # The foot that went first in the old chain stood at the start until then.
+        # The foot that went first in the old path stood at the start until then.
         first = feet[0 if outward > 0 else 1] if before < 0 else poses[before]
         part = (at - before) / 2.0
         turn = turn_between(first[2], poses[before + 2, 2])
-        chain[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
-        chain[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
-        chain[i, 2] = first[2] + part * turn
+        path[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
+        path[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
+        path[i, 2] = first[2] + part * turn
     if swap:
-        chain[0] = feet[0 if outward > 0 else 1]
+        path[0] = feet[0 if outward > 0 else 1]
     else:
-        chain[0] = poses[0]
-    return chain
+        path[0] = poses[0]
+    return path

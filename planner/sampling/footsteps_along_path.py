@@ -1,9 +1,9 @@
-"""Footsteps along a path of the body, whatever it came from.
+"""Footsteps along a path of the body, by dynamic programming. Compiled.
 
-Feet stand on either side of poses of the path, so a plan is a sequence of points along it, by turns
-left and right. Which points is a shortest way in a small graph without cycles: from each point the
-steps that the limits allow lead on to the next few dozen. Limits, boxes and costs are those of the
-search. Where no step leads on, `Strand.end` says how far the feet come.
+Feet stand on either side of poses of the path, so a plan is a sequence of points of the path,
+alternately left and right. The cheapest sequence is a shortest path in a small graph without
+cycles: from each point steps within the limits lead to the next few dozen. Limits, boxes and costs
+are those of the search. Where no step leads further, `PathFootsteps.end` is the last point reached.
 
 All poses are x_m, y_m, yaw_rad in the grid frame.
 """
@@ -23,20 +23,20 @@ from planner.lattice.steps import MICRO
 from planner.plan import wrap_angle
 from planner.robot_model import Side, StepModel
 
-# What steps along a path hit, climb and cost, and the cheapest of them, compiled.
-
 FloatArray = NDArray[np.float64]
 Int64s = NDArray[np.int64]
 
 NO_COST = 1 << 60
-START, NOWHERE = -1, -2  # instead of the point stepped from
+START, UNREACHED = -1, -2  # instead of the point stepped from
+_SPACING_M, _SPACING_RAD = 0.025, 0.05
+_POINTS_AHEAD = 32  # to which a step may lead
 
 
 @njit_no_refcount
 def check_feet(
     lattice: Lattice, path: FloatArray, feet: FloatArray, ok: NDArray[np.bool_], height_um: Int64s
 ) -> None:
-    """Marks (n, 2) where a foot and the body over it are free, and notes the ground's height."""
+    """Fills ok (n, 2), whether foot and body are free at each point, and the ground's height."""
     for i in range(len(path)):
         cos, sin = math.cos(path[i, 2]), math.sin(path[i, 2])
         x, y = path[i, 0], path[i, 1]
@@ -63,7 +63,7 @@ def _extra_cost(
     heights_um: tuple[int, int],
     body: tuple[float, float],
 ) -> int:
-    """Cost of clearance of a step between two feet (3,); -1 where it hits or climbs too much.
+    """Clearance cost of a step between two feet (3,); -1 if it hits an obstacle or climbs too far.
 
     side: of the swing foot. heights_um: of the ground under support and swing foot.
     """
@@ -95,7 +95,7 @@ def check_seeds(
     body: tuple[float, float],
     seeds_um: Int64s,
 ) -> None:
-    """Completes the costs (m, 2) of first steps, and takes out those that hit something."""
+    """Adds clearance to the costs (m, 2) of first steps; 0 for those that are not valid."""
     for i in range(len(seeds_um)):
         for side in range(2):
             if seeds_um[i, side] == 0:
@@ -109,7 +109,7 @@ def check_seeds(
 
 
 @njit_no_refcount
-def walk(
+def cheapest_steps(
     lattice: Lattice,
     feet: FloatArray,
     height_um: Int64s,
@@ -119,7 +119,7 @@ def walk(
     best_um: Int64s,
     before: Int64s,
 ) -> None:
-    """Fills in the least costs (n, 2) and the point stepped from, point by point."""
+    """Fills the least costs (n, 2) and the points stepped from, point by point."""
     for i in range(len(seeds_um)):
         for side in range(2):
             if seeds_um[i, side] > 0:
@@ -145,10 +145,6 @@ def walk(
                     best_um[to, swing], before[to, swing] = there + extra, i
 
 
-_STRIDE_M, _STRIDE_RAD = 0.025, 0.05
-_REACH = 32  # points ahead that a step may lead to
-
-
 def feet_beside(poses: FloatArray, model: StepModel) -> FloatArray:
     """Feet (2, n, 3) of a robot that stands at poses (n, 3)."""
     away = np.stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2]), np.zeros(len(poses))], axis=1)
@@ -156,15 +152,15 @@ def feet_beside(poses: FloatArray, model: StepModel) -> FloatArray:
     return np.stack([poses + side.outward * half_m * away for side in Side])
 
 
-def dense(corners: FloatArray) -> FloatArray:
-    """Poses (n, 3) along straight motions between corners (m, 3), as near as the steps want them.
+def resample(corners: FloatArray) -> FloatArray:
+    """Poses (n, 3) along straight motions between corners (m, 3), evenly spaced.
 
-    Headings go the shorter way round and are not wrapped.
+    Headings turn the shorter way and are not wrapped.
     """
     moves = np.diff(corners, axis=0)
     moves[:, 2] = wrap_angle(moves[:, 2])
     far = np.maximum(
-        np.hypot(moves[:, 0], moves[:, 1]) / _STRIDE_M, np.abs(moves[:, 2]) / _STRIDE_RAD
+        np.hypot(moves[:, 0], moves[:, 1]) / _SPACING_M, np.abs(moves[:, 2]) / _SPACING_RAD
     )
     counts = np.ceil(far - 1e-9).astype(np.int64)
     move = np.repeat(np.arange(len(moves)), counts)
@@ -174,8 +170,11 @@ def dense(corners: FloatArray) -> FloatArray:
     return np.concatenate([corners[:1], path])
 
 
-class Strand:
-    """The cheapest steps along a path (n, 3) from a stance, to every point that they lead to."""
+class PathFootsteps:
+    """The cheapest steps along a path (n, 3) from a stance to every point that they reach.
+
+    end: the last point reached, START for none.
+    """
 
     def __init__(
         self, lattice: Lattice, model: StepModel, path: FloatArray, stance: Stance
@@ -185,10 +184,10 @@ class Strand:
         ok = np.zeros((number, 2), np.bool_)
         self._height_um = np.zeros((number, 2), np.int64)
         check_feet(lattice, path, self._feet, ok, self._height_um)
-        after = np.minimum(np.arange(number)[:, None] + np.arange(_REACH), number - 1)
-        beyond = np.arange(number)[:, None] + np.arange(_REACH) >= number
-        cost_um = np.zeros((number, _REACH, 2), np.int64)
-        seeds_um = np.zeros((min(_REACH, number), 2), np.int64)
+        after = np.minimum(np.arange(number)[:, None] + np.arange(_POINTS_AHEAD), number - 1)
+        beyond = np.arange(number)[:, None] + np.arange(_POINTS_AHEAD) >= number
+        cost_um = np.zeros((number, _POINTS_AHEAD, 2), np.int64)
+        seeds_um = np.zeros((min(_POINTS_AHEAD, number), 2), np.int64)
         for side in Side:
             support, swing = self._feet[side.other], self._feet[side]
             cost_um[:, :, side] = step_costs(support[:, None], swing[after], side.outward, model)
@@ -206,14 +205,14 @@ class Strand:
         ground = self._feet, self._height_um, ok
         check_seeds(lattice, stance.feet, standing_um, *ground, body, seeds_um)
         self._cost_um = np.full((number, 2), NO_COST)
-        self._before = np.full((number, 2), NOWHERE)
-        walk(lattice, *ground, cost_um, seeds_um, self._cost_um, self._before)
+        self._before = np.full((number, 2), UNREACHED)
+        cheapest_steps(lattice, *ground, cost_um, seeds_um, self._cost_um, self._before)
         reached = np.nonzero(self._cost_um.min(axis=1) < NO_COST)[0]
         self.end = int(reached[-1]) if len(reached) else START
         self._arrives = self.end == number - 1 and bool(ok[-1].all())
 
     def to_end(self) -> Footsteps | None:
-        """Steps to both feet beside the path's last pose, or None if none lead there."""
+        """Steps to both feet beside the path's last pose; None if that is not reached."""
         if not self._arrives:
             return None
         last = len(self._before) - 1
@@ -221,7 +220,7 @@ class Strand:
         return self._trace(last, side).then(self._steps([side.other], [last]))
 
     def to_point(self, point: int) -> tuple[int, Footsteps]:
-        """Steps to the last point, up to this one, that they lead to, and which it is."""
+        """The last point reached up to a given one, and the steps to it."""
         costs = self._cost_um[: max(point, 0) + 1]
         reached = np.nonzero(costs.min(axis=1, initial=NO_COST) < NO_COST)[0]
         if point < 0 or not len(reached):

@@ -1,8 +1,10 @@
-"""A path of the body in SE(2) by the sampling planners of OMPL; the one file that loads OMPL.
+"""Paths of the body in SE(2) by OMPL's sampling planners; the only file that imports OMPL.
 
 The limits are counts of OMPL's own iterations, so a seed gives the same path every time. `solve`
-holds Python's global lock: where something else must go on, plan in another process. OMPL's objects
-stay inside functions, because what is left of them at the end of a program complains.
+holds Python's global lock: to continue meanwhile, plan in another process. OMPL's objects stay
+inside functions, because those left at the end of a program print complaints.
+
+All poses are x_m, y_m, yaw_rad in the grid frame.
 """
 
 from __future__ import annotations
@@ -23,12 +25,10 @@ from planner.compiled import njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.robot_model import BodyShape, FootShape, StepModel
 
-# Where the body can be and move, compiled: what a path of the body asks of the map.
-#
-# All poses are x_m, y_m, yaw_rad in the grid frame.
-
-# A body this near to an obstacle is looked at this often on its way; footsteps are checked exactly.
-_STRIDE_M = 0.03
+FloatArray = NDArray[np.float64]
+_RANGE_M = 2.0  # longest motion that extends a tree
+_SHORTCUTS = 200  # attempts to shorten the path
+_CHECK_M = 0.03  # between checks of a motion near obstacles; footsteps are checked exactly
 
 
 class Outline(NamedTuple):
@@ -78,10 +78,10 @@ def can_move(
     start: tuple[float, float, float],
     end: tuple[float, float, float],
 ) -> bool:
-    """Whether the body is free all along a straight motion that turns evenly the shorter way.
+    """Whether the body is free along a straight motion that turns evenly the shorter way.
 
-    Strides are as long as the clearance allows, and short near obstacles. Where the floor is not
-    flat they are short everywhere, and none may climb more than a step does.
+    Checks are as far apart as the clearance allows. On uneven floors they are close everywhere, and
+    between two of them the floor may rise no more than in a step.
     """
     turn = (end[2] - start[2] + math.pi) % (2 * math.pi) - math.pi
     half_l, half_w = outline.body
@@ -105,7 +105,7 @@ def can_move(
             below = height
         if done >= length:
             return True
-        done = min(length, done + (_STRIDE_M if uneven else max(room, _STRIDE_M)))
+        done = min(length, done + (_CHECK_M if uneven else max(room, _CHECK_M)))
 
 
 @njit_no_refcount
@@ -120,9 +120,9 @@ def _height(terrain: Terrain, x: float, y: float) -> int:
 def nearest_standing(
     terrain: Terrain, outline: Outline, pose: NDArray[np.float64], reach_m: float
 ) -> NDArray[np.float64] | None:
-    """The pose (3,) with the same heading nearest to one (3,) at which the robot can stand.
+    """The pose nearest to one (3,), with the same heading, at which the robot can stand.
 
-    On rings up to reach_m; None if there is none.
+    Searched on rings up to reach_m; None if there is none.
     """
     x, y, yaw = (float(v) for v in pose)
     for radius_m in np.arange(0.0, reach_m + 1e-9, 0.05):
@@ -133,20 +133,15 @@ def nearest_standing(
     return None
 
 
-FloatArray = NDArray[np.float64]
-_RANGE_M = 2.0  # longest motion that a tree grows by at once
-_SHORTCUTS = 200  # how often the path is tried to be cut short
-
-
 class Effort(NamedTuple):
-    """Iterations of a planner: at most, and past its first path in search of a better one."""
+    """Limits on iterations: in all, and after the first path for a better one."""
 
     most: int
     more: int
 
 
-# The star planners' first path is seldom worth having, and each of their iterations asks for many
-# motions. FMT* draws all samples at once: the least and the most.
+# First paths of the star planners are poor, and each of their iterations checks many motions. FMT*
+# draws all samples at once: most and least.
 EFFORTS = {
     "rrtconnect": Effort(40_000, 0),
     "rrtstar": Effort(20_000, 1_500),
@@ -159,7 +154,7 @@ EFFORTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BodyQuery:
-    """A way to be found for the body from one pose (3,) to another, all in the grid frame."""
+    """A path to be found from one pose (3,) to another."""
 
     terrain: Terrain
     outline: Outline
@@ -168,8 +163,8 @@ class BodyQuery:
 
 
 @dataclass(frozen=True, kw_only=True)
-class BodyWay:
-    """What came of it: the corners (n, 3) of the path, none if no path was found."""
+class SampledPath:
+    """Corners (n, 3) of the path, none if no path was found."""
 
     corners: FloatArray
     iterations: int
@@ -177,33 +172,33 @@ class BodyWay:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When to stop looking: iterations, and a time.perf_counter() or None."""
+    """When to stop: iterations, and a time.perf_counter() or None."""
 
     effort: Effort
     until_s: float | None
 
 
-def find_way(name: str, query: BodyQuery, limits: Limits, seed: int) -> BodyWay:
-    """The path that the planner of that name finds, cut short where that is possible."""
+def find_path(name: str, query: BodyQuery, limits: Limits, seed: int) -> SampledPath:
+    """The path that the planner of that name finds, shortened."""
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed + 1)  # 0 is no seed
-    task = _Task(query)
-    watch = _Watch(limits)
+    task = _OmplProblem(query)
+    stop = _Termination(limits)
     if name == "prmstar":
-        corners = _roadmap(task, watch)
+        corners = _roadmap(task, stop)
     elif name == "fmt":
-        corners = _fast_marching(task, watch)
+        corners = _fast_marching(task, stop)
     else:
-        corners = _tree(name, task, watch)
+        corners = _tree(name, task, stop)
     if corners is not None:
-        corners = _cut_short(task, corners)
-    return BodyWay(
-        corners=np.zeros((0, 3)) if corners is None else corners, iterations=watch.iterations
+        corners = _shortened(task, corners)
+    return SampledPath(
+        corners=np.zeros((0, 3)) if corners is None else corners, iterations=stop.iterations
     )
 
 
-class _Watch:
-    """Counts iterations and says when to stop; OMPL asks it once an iteration."""
+class _Termination:
+    """Counts iterations and says when to stop; OMPL calls it once an iteration."""
 
     def __init__(self, limits: Limits) -> None:
         self.iterations = 0
@@ -222,12 +217,12 @@ class _Watch:
         return self.iterations >= most or self.is_late()
 
     def is_late(self) -> bool:
-        """Whether the time is over."""
+        """Whether the time limit is reached."""
         until_s = self._limits.until_s
         return until_s is not None and time.perf_counter() >= until_s
 
     def condition(self) -> Any:
-        """This watch as OMPL wants it."""
+        """The same as an object of OMPL."""
         return base.PlannerTerminationCondition(self)
 
     @property
@@ -237,7 +232,7 @@ class _Watch:
 
 
 class _Motions(base.MotionValidator):  # type: ignore[misc]
-    """Asks the map for a whole motion at once."""
+    """Checks a whole motion at once."""
 
     def __init__(self, information: Any, query: BodyQuery) -> None:
         super().__init__(information)
@@ -248,8 +243,8 @@ class _Motions(base.MotionValidator):  # type: ignore[misc]
         return can_move(*self._ground, _pose(start), _pose(end))
 
 
-class _Task:
-    """A query in OMPL's terms."""
+class _OmplProblem:
+    """A query as objects of OMPL."""
 
     def __init__(self, query: BodyQuery) -> None:
         rows, cols = query.terrain.blocked.shape
@@ -275,7 +270,7 @@ class _Task:
         return state
 
     def problem(self) -> Any:
-        """A problem without solutions yet: a short path from start to goal."""
+        """A problem without solutions yet: the shortest path from start to goal."""
         problem = base.ProblemDefinition(self.information)
         problem.setStartAndGoalStates(self.start, self.goal)
         problem.setOptimizationObjective(base.PathLengthOptimizationObjective(self.information))
@@ -286,8 +281,8 @@ def _pose(state: Any) -> tuple[float, float, float]:
     return state.getX(), state.getY(), state.getYaw()
 
 
-def _tree(name: str, task: _Task, watch: _Watch) -> FloatArray | None:
-    """Corners (n, 3) by a planner that grows trees and stops when it is told to."""
+def _tree(name: str, task: _OmplProblem, stop: _Termination) -> FloatArray | None:
+    """Corners (n, 3) by a planner that grows trees."""
     kinds = {
         "rrtconnect": geometric.RRTConnect,
         "rrtstar": geometric.RRTstar,
@@ -300,31 +295,31 @@ def _tree(name: str, task: _Task, watch: _Watch) -> FloatArray | None:
     planner.setProblemDefinition(problem)
     planner.setup()
     if hasattr(planner, "bestCost"):
-        watch.is_solved = lambda: math.isfinite(planner.bestCost().value())
-    planner.solve(watch.condition())
-    watch.is_solved = lambda: False
+        stop.is_solved = lambda: math.isfinite(planner.bestCost().value())
+    planner.solve(stop.condition())
+    stop.is_solved = lambda: False
     return _solution(problem)
 
 
 def _solution(problem: Any) -> FloatArray | None:
-    """Corners of the path that reaches the goal; a path that only comes near does not count."""
+    """Corners of a path that reaches the goal; None for one that only comes near."""
     if not problem.hasExactSolution():
         return None
     return np.array([_pose(state) for state in problem.getSolutionPath().getStates()])
 
 
-def _fast_marching(task: _Task, watch: _Watch) -> FloatArray | None:
-    """Corners by FMT*, which is asked again with twice the samples while it finds nothing."""
-    most = watch.effort.most
-    samples = min(watch.effort.more, most)
-    while samples <= most and not watch.is_late():
+def _fast_marching(task: _OmplProblem, stop: _Termination) -> FloatArray | None:
+    """Corners by FMT*, which runs again with twice the samples until it finds a path."""
+    most = stop.effort.most
+    samples = min(stop.effort.more, most)
+    while samples <= most and not stop.is_late():
         planner, problem = geometric.FMT(task.information), task.problem()
         planner.setNumSamples(samples)
         planner.setExtendedFMT(False)  # which would go on drawing for ever
         planner.setProblemDefinition(problem)
         planner.setup()
-        planner.solve(base.PlannerTerminationCondition(watch.is_late))
-        watch.iterations += samples
+        planner.solve(base.PlannerTerminationCondition(stop.is_late))
+        stop.iterations += samples
         corners = _solution(problem)
         if corners is not None:
             return corners
@@ -332,32 +327,32 @@ def _fast_marching(task: _Task, watch: _Watch) -> FloatArray | None:
     return None
 
 
-def _roadmap(task: _Task, watch: _Watch) -> FloatArray | None:
+def _roadmap(task: _OmplProblem, stop: _Termination) -> FloatArray | None:
     """Corners by PRM*.
 
-    Its own `solve` looks for the path in a second thread, so that the result hangs on who is
-    quicker. Here the roadmap grows in this thread, and the path over it is found afterwards.
+    Its own `solve` searches for the path in a second thread, so its result depends on timing. Here
+    the roadmap grows in this thread, and the path over it is found afterwards.
     """
     planner = geometric.PRMstar(task.information)
     planner.setProblemDefinition(task.problem())
     planner.setup()
     # Stops at once, but takes up start and goal.
     planner.solve(base.plannerAlwaysTerminatingCondition())
-    size = watch.effort.more
+    size = stop.effort.more
     while True:
-        until = min(size, watch.effort.most)
-        planner.growRoadmapPtc(_until(watch, until))
+        until = min(size, stop.effort.most)
+        planner.growRoadmapPtc(_until(stop, until))
         corners = _shortest(task, planner)
-        if corners is not None or watch.iterations >= watch.effort.most or watch.is_late():
+        if corners is not None or stop.iterations >= stop.effort.most or stop.is_late():
             return corners
         size *= 2
 
 
-def _until(watch: _Watch, iterations: int) -> Any:
-    return base.PlannerTerminationCondition(lambda: watch() or watch.iterations >= iterations)
+def _until(stop: _Termination, iterations: int) -> Any:
+    return base.PlannerTerminationCondition(lambda: stop() or stop.iterations >= iterations)
 
 
-def _shortest(task: _Task, planner: Any) -> FloatArray | None:
+def _shortest(task: _OmplProblem, planner: Any) -> FloatArray | None:
     """Corners of the shortest path over a roadmap."""
     roadmap = base.PlannerData(task.information)
     planner.getPlannerData(roadmap)
@@ -386,7 +381,7 @@ def _shortest(task: _Task, planner: Any) -> FloatArray | None:
     return np.array([_pose(states[vertex]) for vertex in reversed(path)])
 
 
-def _cut_short(task: _Task, corners: FloatArray) -> FloatArray:
+def _shortened(task: _OmplProblem, corners: FloatArray) -> FloatArray:
     """The corners after OMPL's shortcuts, which keep start and goal."""
     path = geometric.PathGeometric(task.information)
     for corner in corners:

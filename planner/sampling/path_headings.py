@@ -1,9 +1,8 @@
-"""Which way the body faces along a path, so that walking it costs little.
+"""Headings of the body along a path, chosen so that walking it costs little.
 
-A sampling planner turns the body as it finds it: many a path leads through the map sideways. The
-line that the body follows is kept here, and the heading at each of its points is chosen anew among
-evenly spaced ones, by dynamic programming on what steps of this robot cost ahead, sideways, back
-and on the spot.
+Sampling planners turn the body at random, so many paths lead sideways. The line of the path is
+kept, and the heading at each of its points is chosen among evenly spaced ones, by dynamic
+programming on the costs of stepping ahead, sideways, back and on the spot.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from planner.sampling.ompl_paths import Outline, can_stand
 
 FloatArray = NDArray[np.float64]
 _HEADINGS = 64
-_STRIDE_M = 0.05
-_SHARE = 0.9  # of what the limits allow, in an ordinary step
+_SPACING_M = 0.05
+_SHARE = 0.9  # of the limits, in an ordinary step
 _FAR = 1e12
 
 
 def walking_rate(model: StepModel, angle_rad: FloatArray) -> FloatArray:
     """Cost (...) per metre of walking toward angles (...) from straight ahead, in metres.
 
-    Two steps in turn, alike in length, that go as far as the limits let them: to the side one foot
-    opens the stance and the other closes it.
+    Two steps in turn, of equal length and as long as the limits allow: to the side one foot opens
+    the stance and the other closes it.
     """
     (x_low, x_high), (y_low, y_high) = model.limits.x_m, model.limits.y_m
     cos, sin = np.cos(angle_rad), np.abs(np.sin(angle_rad))
@@ -54,19 +53,19 @@ def walking_rate(model: StepModel, angle_rad: FloatArray) -> FloatArray:
 
 
 def turning_rate(model: StepModel) -> float:
-    """Cost per radian of turning on the spot, in metres: a step outward and one inward."""
+    """Cost per radian of turning on the spot, in metres: an outward and an inward step."""
     low, high = (_SHARE * v for v in model.limits.yaw_rad)
     steps = np.array([[0.0, model.stance_width_m, high], [0.0, model.stance_width_m, low]])
     turn_rad = high - low
     return float(step_cost_um(steps, model).sum()) / 1e6 / turn_rad if turn_rad > 1e-6 else _FAR
 
 
-def face_the_way(
+def choose_headings(
     terrain: Terrain, outline: Outline, model: StepModel, corners: FloatArray
 ) -> FloatArray:
     """Poses (n, 3) along a path with these corners (m, 3), first and last as they are.
 
-    All in the grid frame. Where no headings lead along the line, the path's own are kept.
+    All in the grid frame. The corners themselves if no headings are free along the line.
     """
     line = _line(corners)
     headings = corners[-1, 2] + np.arange(_HEADINGS) * (2 * math.pi / _HEADINGS)
@@ -83,10 +82,10 @@ def face_the_way(
 
 
 def _line(corners: FloatArray) -> FloatArray:
-    """Points (n, 2) along the path, near enough to each other."""
+    """Points (n, 2) along the path, at most _SPACING_M apart."""
     points = [corners[:1, :2]]
     for start, end in itertools.pairwise(corners[:, :2]):
-        number = max(1, math.ceil(float(np.hypot(*(end - start))) / _STRIDE_M))
+        number = max(1, math.ceil(float(np.hypot(*(end - start))) / _SPACING_M))
         points.append(start + np.linspace(0, 1, number + 1)[1:, None] * (end - start))
     line = np.concatenate(points)
     moved = np.hypot(*np.diff(line, axis=0).T) > 1e-9
@@ -136,7 +135,7 @@ def _cheapest(
                 for turn in (0, -1, 1):
                     before = (h - turn) % number
                     step = max(walk_m[i - 1, h], bin_m) if turn != 0 else walk_m[i - 1, h]
-                    # A trifle for each turn, so that of two ways the steadier is taken.
+                    # A trifle for each turn, so that of two equal ways the straighter is taken.
                     there = cost[i - 1, before] + step + abs(turn) * 1e-6
                     if there < cost[i, h]:
                         cost[i, h], came[i, h] = there, turn
