@@ -87,7 +87,7 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
     # At the first steps it says what the one over the whole map says.
     least_um = [
         (costs_um + estimates(request.lattice, h, nodes)).min()
-        for h in (heuristic, request.heuristic)
+        for h in (heuristic, request.context.heuristic)
     ]
     assert least_um[0] >= 0.95 * least_um[1]
 
@@ -98,6 +98,6 @@ def test_near_the_goal_the_table_says_what_the_path_does_not():
     nodes, _ = request.first_nodes()
     drawn_um, exact_um = (
         estimates(request.lattice, h, nodes)
-        for h in (heuristic_near_paths(request.context, nodes), request.heuristic)
+        for h in (heuristic_near_paths(request.context, nodes), request.context.heuristic)
     )
     np.testing.assert_array_equal(drawn_um, exact_um)
