@@ -68,8 +68,24 @@ def test_every_file_and_module_that_is_named_is_there(page):
         assert path.with_suffix(".py").exists(), f"{page} names python -m {module}"
 
 
+def test_the_tree_is_the_tree():
+    """Every line of the README's tree is a file or folder, and no folder of code is missing."""
+    (tree,) = re.findall(r"^```text\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    folder, named = "", set()
+    for line in tree.splitlines():
+        name = line.split()[0]
+        if not line.startswith(" "):
+            folder = name if name.endswith("/") else ""
+        path = (folder + name if line.startswith(" ") else name).rstrip("/")
+        assert (ROOT / path).exists(), f"README's tree has {path}"
+        named.add(path)
+    packages = ("app", "controller", "maps", "planner", "sim")
+    rooms = {p.parent for name in packages for p in (ROOT / name).rglob("*.py")}
+    assert {str(room.relative_to(ROOT)) for room in rooms} <= named
+
+
 def test_the_pages_name_files_and_modules():
-    """The rule above sees something: the README's table of where to look, the benchmarks."""
+    """The rule above sees something: the README's new command, the notes' benchmarks."""
     assert "`app/cli.py`" in README
     measurements = (ROOT / "docs/notes/planner_measurements.md").read_text(encoding="utf-8")
     assert "python -m benchmarks.planner" in measurements
