@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from controller.policy import Policy, PolicyError, load_policy
-from controller.tracking_limits import as_measured
+from controller.tracking_limits import with_tracking_limits
 from maps.grid import Cell, OccupancyGrid
 from maps.map_files import MapError, load_map
 from planner.options import PlannerOptions
@@ -107,7 +107,7 @@ def load_robot(name: str = "jvrc1", policy: str | Path | None = None) -> Robot:
     Raises:
         ValueError: There is no such robot, or what was measured cannot be read.
     """
-    return as_measured(get_robot(name), None if policy is None else Path(policy))
+    return with_tracking_limits(get_robot(name), None if policy is None else Path(policy))
 
 
 def plan(

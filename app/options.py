@@ -23,7 +23,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from app.output import InputError, as_bad_input, say
 from controller.policy import Policy, PolicyError
-from controller.tracking_limits import as_measured
+from controller.tracking_limits import with_tracking_limits
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
 from planner.options import HEURISTICS, PLANNERS
@@ -379,4 +379,4 @@ def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
     """
     robot = find_robot(name)
     with as_bad_input(PolicyError):
-        return as_measured(robot, policy)
+        return with_tracking_limits(robot, policy)

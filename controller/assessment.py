@@ -1,4 +1,4 @@
-"""How well a policy follows steps: falls and foot errors over held-out episodes of one mode."""
+"""Assessment of a policy: falls and foot errors over held-out episodes of one mode."""
 
 from __future__ import annotations
 
@@ -9,25 +9,29 @@ import numpy as np
 
 from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
+from controller.observation import rotate_xy
 from controller.policy import Policy
 from controller.ppo import TrainConfig
 from controller.randomization import DomainRandomization
 from controller.stairs import STAIR_MODES
 from sim.robot import Robot
 
-# A foot that lands farther than this from its step, in space, has left the plan.
+ASSESS_SEED = 987_654_321
+# Disturbances, at level 1, of the held-out stair episodes that have any.
+ROUGH = {"tread_error_m": 0.03, "joint_noise_deg": 3.0}
+# An episode strays once a foot lands farther than this from its step, in 3D.
 STRAYED_M = 0.25
-_PER_LANDING = ("error_m", "heading_error_rad", "offset_m")
+_PER_LANDING = ("landing_error_m", "landing_heading_error_rad", "landing_offset_m")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModeResult:
-    """Episodes of one mode: how many fell, and how far feet came to rest from their steps.
+    """Falls and foot errors over the episodes of one mode.
 
-    `episode_ticks` (episodes,) is how long each lasted. Per landing (N,): the horizontal distance,
-    the heading error (not negative), and `landing_offset_m` (N, 2), the way from the step to the
-    foot along and across (left of) the step's own heading. `strayed` counts the episodes that did
-    not fall but put a foot down off the plan, as a robot does that marches on before a stair.
+    `episode_ticks` (episodes,) is the length of each. Per landing (N,): horizontal distance from
+    the step, absolute heading error, and `landing_offset_m` (N, 2), from the step to the foot,
+    along and left of the step's heading. `strayed` counts the episodes without a fall in which a
+    foot landed farther than `STRAYED_M` from its step, for example before a stair.
     """
 
     mode: str
@@ -47,7 +51,7 @@ class ModeResult:
     @classmethod
     def joined(cls, parts: Sequence[ModeResult]) -> ModeResult:
         """Several results of one mode as one."""
-        arrays = ("episode_ticks", *(f"landing_{name}" for name in _PER_LANDING))
+        arrays = ("episode_ticks", *_PER_LANDING)
         return cls(
             mode=parts[0].mode,
             episodes=sum(part.episodes for part in parts),
@@ -91,82 +95,76 @@ def assess_mode(
     joint_noise_deg: float = 0.0,
     step_s: float | None = None,
 ) -> ModeResult:
-    """Walk `episodes` episodes at once with the deterministic policy.
+    """Run `episodes` held-out episodes at once with the deterministic policy.
 
-    The seed is of this run alone: nothing is shared with training. Nothing is disturbed but what
-    is asked for here.
+    Nothing is shared with training, and nothing is randomized but the arguments.
 
     Args:
-        robot: who walks.
-        policy: how.
+        robot: the robot.
+        policy: its policy.
         mode: one of `MODES`, `STAIR_MODES` or `standing`; None is a mix of the flat ones.
-        episodes: how many.
+        episodes: number of episodes.
         seed: of the steps, the ground and the noise.
         threads: for the physics; the result does not depend on it.
-        config: rates, rewards and lengths; what it says of stairs and disturbances is left out.
+        config: rates, rewards and lengths; its stairs, pace and randomization are not used.
         rise_m: of every step of the stairs.
-        tread_error_m: each tread is uniformly up to this much higher or lower than observed.
-        step_s: how long every step takes; None: as long as the robot's own gait does.
-        joint_noise_deg: amplitude of the uniform noise on observed joint positions; that on
-            joint speeds is as in training (`DomainRandomization.joint_speed_noise_per_s`).
+        tread_error_m: amplitude of the uniform error of each tread's height.
+        joint_noise_deg: amplitude of the uniform noise on joint positions; that on joint speeds
+            is as in training (`DomainRandomization.joint_speed_noise_per_s`).
+        step_s: duration of every step; None: that of the robot's gait.
     """
+    config = config or TaskConfig()
+    noise = {"joint_noise_deg": joint_noise_deg, "tread_error_m": tread_error_m}
     config = replace(
-        config or TaskConfig(),
+        config,
         stairs_share=0.0,
         exact_rise=True,
         paced_share=0.0 if step_s is None else 1.0,
-        step_s=(config or TaskConfig()).step_s if step_s is None else (step_s, step_s),
-        randomization=DomainRandomization.exactly(
-            joint_noise_deg=joint_noise_deg, tread_error_m=tread_error_m
-        ),
+        step_s=config.step_s if step_s is None else (step_s, step_s),
+        randomization=DomainRandomization.exactly(**noise),
     )
-    disturbed = joint_noise_deg > 0 or tread_error_m > 0
     stage = Stage(
-        rise_m=rise_m if mode in STAIR_MODES else 0.0, disturbance_level=1.0 if disturbed else 0.0
+        rise_m=rise_m if mode in STAIR_MODES else 0.0,
+        disturbance_level=1.0 if any(value > 0 for value in noise.values()) else 0.0,
     )
     task = WalkTask(
         robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config, stage=stage
     )
-    alive = np.ones(episodes, dtype=bool)
-    fell, strayed = np.zeros(episodes, dtype=bool), np.zeros(episodes, dtype=bool)
-    ticks = np.zeros(episodes, dtype=np.int64)
-    errors: list[np.ndarray] = []
-    headings: list[np.ndarray] = []
-    offsets: list[np.ndarray] = []
-    observation, rows = task.observe(), np.arange(episodes)
+    return _run_episodes(task, policy)
+
+
+def _run_episodes(task: WalkTask, policy: Policy) -> ModeResult:
+    """The first episode of each robot of a task."""
+    rows = np.arange(task.count)
+    alive = np.ones(task.count, dtype=bool)
+    fell, strayed = ~alive, ~alive
+    ticks = np.zeros(task.count, dtype=np.int64)
+    landings: dict[str, list[np.ndarray]] = {name: [] for name in _PER_LANDING}
+    observation = task.observe()
     for _ in range(task.config.episode_ticks):
-        side = task.walker.cursor.side
-        asked = task.walker.cursor.foot_targets[rows, side]
+        foot = rows, task.walker.cursor.side
+        target = task.walker.cursor.foot_targets[foot]
         step = task.step(policy.act_scaled(observation))
         observation = step.observation
         ticks += alive
         counted = alive & step.landed
-        away_m = np.hypot(step.landing_error_m, step.landing_height_error_m)
-        strayed |= counted & (away_m > STRAYED_M)
-        errors.append(step.landing_error_m[counted])
-        headings.append(step.landing_heading_error_rad[counted])
-        # The sensors still show the step, not the new episodes that may have begun after it.
-        placed = task.walker.soles_world()[rows, side]
-        offsets.append(in_step_frame(asked, placed)[counted])
+        distance_m = np.hypot(step.landing_error_m, step.landing_height_error_m)
+        strayed |= counted & (distance_m > STRAYED_M)
+        # The sensors are those of the step, also where a new episode has begun after it.
+        offset = (task.walker.soles_world()[foot] - target)[:, :2]
+        landings["landing_error_m"].append(step.landing_error_m[counted])
+        landings["landing_heading_error_rad"].append(step.landing_heading_error_rad[counted])
+        landings["landing_offset_m"].append(rotate_xy(offset, -target[:, 3])[counted])
         fell |= alive & step.terminated
         alive &= ~step.terminated & ~step.truncated
     return ModeResult(
-        mode=mode or "mixed",
-        episodes=episodes,
+        mode=task.mode or "mixed",
+        episodes=task.count,
         falls=int(fell.sum()),
         strayed=int((strayed & ~fell).sum()),
         episode_ticks=ticks,
-        landing_error_m=np.concatenate(errors),
-        landing_heading_error_rad=np.concatenate(headings),
-        landing_offset_m=np.concatenate(offsets),
+        **{name: np.concatenate(values) for name, values in landings.items()},
     )
-
-
-def in_step_frame(asked: np.ndarray, placed: np.ndarray) -> np.ndarray:
-    """Horizontal way (B, 2) from poses asked for (B, 4) to poses placed, in the frame of asked."""
-    dx, dy = (placed - asked)[:, :2].T
-    cos, sin = np.cos(asked[:, 3]), np.sin(asked[:, 3])
-    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=1)
 
 
 def at_navigation_rate(config: TaskConfig | None = None) -> TaskConfig:
@@ -174,20 +172,12 @@ def at_navigation_rate(config: TaskConfig | None = None) -> TaskConfig:
     return replace(config or TaskConfig(), timestep_s=0.001)
 
 
-# The assessment that training makes of itself, in simulations and with a seed of its own.
-
-ASSESS_SEED = 987_654_321
-# The held-out stair episodes with disturbances: what the follower is to withstand.
-ROUGH = {"tread_error_m": 0.03, "joint_noise_deg": 3.0}
-
-
 def assess_stage(
     robot: Robot, policy: Policy, config: TrainConfig, stage: Stage, *, threads: int
 ) -> tuple[ModeResult, ...]:
-    """Results at a stage: flat, then, where it has stairs, those without and with disturbances.
+    """Results at a stage: flat, then, if it has stairs, stairs without and with disturbances.
 
-    The disturbances have the share that the stage gives those of training. The episodes of the
-    configuration are divided among the results.
+    The disturbances scale with the stage's level. The episodes are divided among the results.
     """
     cases: list[tuple[str | None, dict[str, float]]] = [(None, {})]
     if stage.rise_m > 0:
@@ -209,14 +199,13 @@ def assess_stage(
 
 
 def score(stage: Stage, results: tuple[ModeResult, ...]) -> tuple[float, float]:
-    """What tells the better of two policies: the greater tuple.
+    """A tuple that is greater for the better of two policies.
 
-    The one that was assessed at the higher rise is better; then falls count first, then the foot
-    error.
+    It compares the rise, then failures, then foot errors.
     """
-    return stage.rise_m, sum(_score(result) for result in results)
 
+    def score_of(result: ModeResult) -> float:
+        error_m = float(result.summary["error_m_p95"])
+        return 100.0 * (result.success - 1.0) - (error_m if np.isfinite(error_m) else 1.0)
 
-def _score(result: ModeResult) -> float:
-    error_m = float(result.summary["error_m_p95"])
-    return 100.0 * (result.success - 1.0) - (error_m if np.isfinite(error_m) else 1.0)
+    return stage.rise_m, sum(score_of(result) for result in results)

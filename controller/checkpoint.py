@@ -19,7 +19,7 @@ from controller.ppo import TrainConfig
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
-CHECKPOINT_FORMAT = "walk-training/2"
+CHECKPOINT_FORMAT = "walk-training/3"
 # Checkpoint, the one that replaces it, policy, corpus and log together take a fifth of this.
 LEAST_FREE_BYTES = 50_000_000
 

@@ -1,8 +1,8 @@
-"""The curriculum: flat ground first, then stairs of growing rise, and disturbances with them.
+"""Curriculum: flat ground first, then stairs of growing rise.
 
 Singh et al. 2022, sec. IV-E, train on flat ground until iteration 3000 and let the rise grow
-linearly over the next 8000. Here, by default, the rise grows whenever held-out episodes at the
-present one succeed.
+linearly over the next 8000. Here, by default, the rise grows whenever the policy succeeds in
+held-out episodes at the present rise.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """The highest rise of episodes (0: no stairs), and the share of the disturbances."""
+    """Highest rise of the stairs (0: no stairs) and level of domain randomization, 0 to 1."""
 
     rise_m: float = 0.0
     disturbance_level: float = 0.0
@@ -30,7 +30,7 @@ class Curriculum:
     are no stairs (`top_rise_m` 0) they come all at once, or grow over those updates.
 
     Raises:
-        ValueError: a length, share or count that no run can have.
+        ValueError: an invalid length, share or count.
     """
 
     measured: bool = True
@@ -56,7 +56,7 @@ class Curriculum:
             )
 
     def first(self) -> Stage:
-        """The stage that a run begins with."""
+        """The first stage of a run."""
         return Stage()
 
     def after(
@@ -64,7 +64,7 @@ class Curriculum:
     ) -> Stage:
         """The next segment's stage, after `updates` updates of the learner.
 
-        `stairs_success` does not count in a stage without stairs.
+        `stairs_success` is ignored in a stage without stairs.
         """
         if not self.measured:
             share = min(max((updates - self.flat_updates) / self.growth_updates, 0.0), 1.0)

@@ -1,4 +1,7 @@
-"""The training task: B robots that follow sequences drawn anew every episode, flat or on stairs."""
+"""The walking task of training: B robots, each with its own episode, on flat ground or on stairs.
+
+`TaskConfig` is its settings, `EpisodeSampler` draws how an episode begins, `WalkTask` steps.
+"""
 
 from __future__ import annotations
 
@@ -9,43 +12,33 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from controller.curriculum import Stage
-from controller.gait import CONTROL_PERIOD_S
-from controller.observation import critic_fields, normaliser, policy_fields
+from controller.observation import critic_fields, normaliser, policy_fields, to_heading_frame
 from controller.randomization import Disturbances, DomainRandomization
-from controller.rewards import (
-    PRECISE,
-    StepTargets,
-    fallen,
-    joint_torques_nm,
-    privileged,
-    reward,
-    walk_state,
-)
+from controller.rewards import PRECISE, StepTargets, reward, reward_inputs
 from controller.stairs import STAIR_MODES, draw_stairs
 from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import MAX_STEPS, PlannedSteps, draw_sequence
 from controller.walker import Walker
+from planner.plan import wrap_angle
 from planner.robot_model import Interval
 from sim.robot import Robot
 from sim.scene import build_scene
-
-# What the walking task trains on, as one value.
 
 EPISODE_TICKS = 400
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """What is trained on.
+    """Settings of the walking task.
 
-    `stairs_share` of the episodes are on stairs once the curriculum has come to them. Where
-    `exact_rise` is set, all their rises are the stage's own, else they are drawn up to it.
-    `planned_share` of the flat episodes walk steps of the planner's corpus, if there is one. In
-    `paced_share` of the episodes steps take times drawn from `step_s`, on stairs none shorter than
-    the robot's own gait; in the others they take that.
+    A share `stairs_share` of the episodes are on stairs once the curriculum has reached them, with
+    the rise of the stage if `exact_rise`, else with rises up to it. A share `planned_share` of the
+    flat episodes take steps from the planner's corpus, if there is one. In `paced_share` of the
+    episodes step durations are drawn from `step_s`, on stairs none shorter than the robot's gait;
+    in the others they are those of the robot's gait.
 
     Raises:
-        ValueError: a share, length or noise that no episode can have.
+        ValueError: an invalid share, length or noise.
     """
 
     timestep_s: float = 0.005
@@ -73,15 +66,12 @@ class TaskConfig:
             raise ValueError(f"episode_ticks {self.episode_ticks} must be at least 1")
 
 
-# How an episode begins: the posture, the steps, the ground under them and what disturbs.
+class EpisodeSampler:
+    """Draws the episodes of a walker's robots: posture, steps, ground and disturbances.
 
-
-class Episodes:
-    """Draws the episodes of the robots of a walker.
-
-    `mode` is one of `MODES`, `STAIR_MODES` or `standing`, and None draws from all flat modes, the
-    planner's own steps if there are any `planned`, and, at the stage's rise, stairs. `on_stairs`
-    (B,) tells which robots are on stairs.
+    `mode` is one of `MODES`, `STAIR_MODES` or `standing`. None is a mix of all flat modes, the
+    `planned` steps if given, and stairs if the stage has a rise. `on_stairs` (B,) marks the robots
+    on stairs.
     """
 
     def __init__(
@@ -99,7 +89,7 @@ class Episodes:
         self._start_feet = walker.scene.soles_at(walker.scene.standing_qpos)
 
     def begin(self, rng: np.random.Generator, row: int, stage: Stage) -> None:
-        """Put robot `row` where it starts, and give it its steps, ground and disturbances."""
+        """Reset robot `row` and draw its steps, ground and disturbances."""
         scene, config, walker = self._walker.scene, self.config, self._walker
         joints = len(walker.robot.joints)
         qpos, qvel = scene.standing_qpos.copy(), np.zeros(scene.model.nv)
@@ -109,11 +99,7 @@ class Episodes:
         steps = int(rng.integers(4, MAX_STEPS + 1))
         if stage.disturbance_level > 0:
             self._disturbances.draw_episode(
-                rng,
-                row,
-                stage.disturbance_level,
-                period_s=CONTROL_PERIOD_S,
-                ticks=config.episode_ticks,
+                rng, row, stage.disturbance_level, ticks=config.episode_ticks
             )
         else:
             self._disturbances.clear(row)
@@ -122,9 +108,9 @@ class Episodes:
         if mode is None and stage.rise_m > 0 and rng.uniform() < config.stairs_share:
             mode = "stairs"
         if mode in STAIR_MODES:
-            sequence = self._on_stairs(rng, row, stage, str(mode), steps)
+            sequence = self._draw_on_stairs(rng, row, stage, str(mode), steps)
         else:
-            sequence = self._on_the_level(rng, mode, steps)
+            sequence = self._draw_on_flat(rng, mode, steps)
         if rng.uniform() < config.paced_share:
             sequence = replace(
                 sequence, step_s=self._draw_step_s(rng, sequence, mode in STAIR_MODES)
@@ -132,7 +118,7 @@ class Episodes:
         walker.follow(row, sequence, wait_ticks=int(rng.integers(config.wait_ticks + 1)))
         self.on_stairs[row] = mode in STAIR_MODES
 
-    def _on_stairs(
+    def _draw_on_stairs(
         self, rng: np.random.Generator, row: int, stage: Stage, mode: str, steps: int
     ) -> StepSequence:
         sequence, ground = draw_stairs(
@@ -147,7 +133,7 @@ class Episodes:
         self._walker.sim.place_ground(row, ground)
         return sequence
 
-    def _on_the_level(self, rng: np.random.Generator, mode: str | None, steps: int) -> StepSequence:
+    def _draw_on_flat(self, rng: np.random.Generator, mode: str | None, steps: int) -> StepSequence:
         if mode is None and self.planned and rng.uniform() < self.config.planned_share:
             return self.planned.draw(rng, self._start_feet, steps=steps)
         model = self._walker.robot.training_model
@@ -156,7 +142,7 @@ class Episodes:
     def _draw_step_s(
         self, rng: np.random.Generator, sequence: StepSequence, on_stairs: bool
     ) -> np.ndarray:
-        """Durations (N,) of the steps: one for all, or in half of the episodes one that changes."""
+        """Durations (N,) of the steps: constant, or changing in half of the episodes."""
         low, high = self.config.step_s
         if on_stairs:
             low = min(max(low, self._walker.robot.gait.step_s), high)
@@ -166,7 +152,7 @@ class Episodes:
         return np.asarray(drawn[np.maximum.accumulate(np.where(changes, np.arange(steps), 0))])
 
     def _draw_rise_m(self, rng: np.random.Generator, stage: Stage) -> float:
-        """Half of the rises are near the stage's, the others anywhere below."""
+        """Half of the rises are near the stage's, the others uniform below it."""
         if self.config.exact_rise:
             return stage.rise_m
         low = 0.8 if rng.uniform() < 0.5 else 0.1
@@ -175,9 +161,9 @@ class Episodes:
 
 @dataclass(frozen=True, kw_only=True)
 class Transition:
-    """What one control step gave; all arrays are (B, ...).
+    """Result of one control step; all arrays are (B, ...).
 
-    After a done episode `observation` is already the next episode's first.
+    Where an episode ended, `observation` is the first of the next episode.
     """
 
     observation: np.ndarray
@@ -198,10 +184,9 @@ class WalkTask:
     """B robots that walk episodes of at most `episode_ticks` control steps.
 
     An episode is terminated when the robot has fallen (pelvis too low over the lower foot), its
-    legs touch, or the simulation left the finite numbers; it is truncated at its full length.
-    `stage` says how hard new episodes are; `mode` is one of `MODES`, `STAIR_MODES` or `standing`,
-    and None draws from all flat modes, the planner's own steps if there are any `planned`, and, at
-    the stage's rise, stairs. `weights` of the reward may be changed between two steps.
+    legs touch, or its simulation is not finite; it is truncated at its full length. `stage` is the
+    difficulty of new episodes; for `mode` and `planned` see `EpisodeSampler`. The reward's
+    `weights` may be changed between two steps.
     """
 
     def __init__(
@@ -229,11 +214,11 @@ class WalkTask:
         )
         self.ticks = np.zeros(count, dtype=np.int64)
         self._rng = np.random.default_rng(seed)
-        self._torque = np.zeros((count, len(robot.joints)))
+        self._torque_nm = np.zeros((count, len(robot.joints)))
         self.weights = dict(self.config.reward)
         self._disturbances = Disturbances(self.config.randomization, count, len(robot.joints))
-        self._varied = False
-        self._episodes = Episodes(
+        self._randomized = False
+        self._episodes = EpisodeSampler(
             self.walker, self._disturbances, config=self.config, mode=mode, planned=planned
         )
         self._policy_normaliser = normaliser(policy_fields(robot))
@@ -242,25 +227,27 @@ class WalkTask:
 
     @property
     def count(self) -> int:
-        """How many robots there are."""
+        """Number of robots."""
         return self.walker.sim.count
 
     def restart(self, seed: int | np.random.SeedSequence, *, stage: Stage | None = None) -> None:
-        """Forget everything and start new episodes from a seed, at a stage (default: as before)."""
+        """Start new episodes for all robots from a seed, at a stage (default: the present one)."""
         self._rng = np.random.default_rng(seed)
         self.stage = stage or self.stage
         if (
             self.stage.disturbance_level > 0 and self.config.randomization.varies_models
-        ) or self._varied:
-            self._disturbances.vary_models(self._rng, self.walker.sim, self.stage.disturbance_level)
-            self._varied = True
+        ) or self._randomized:
+            self._disturbances.randomize_models(
+                self._rng, self.walker.sim, self.stage.disturbance_level
+            )
+            self._randomized = True
         self.reset(np.arange(self.count))
 
     def reset(self, rows: np.ndarray) -> None:
         """Start new episodes for the robots `rows`."""
         for row in rows:
             self._episodes.begin(self._rng, int(row), self.stage)
-        self._torque[rows] = 0.0
+        self._torque_nm[rows] = 0.0
         self.ticks[rows] = 0
 
     def observe(self) -> np.ndarray:
@@ -274,44 +261,53 @@ class WalkTask:
 
     def step(self, action: np.ndarray) -> Transition:
         """Act on every robot, reward it, and start new episodes where one has ended."""
-        asked = StepTargets.of(self.walker)
-        side, rows = asked.side, np.arange(self.count)
+        targets = StepTargets.of(self.walker)
+        foot = np.arange(self.count), targets.side
         self._disturbances.push(self.walker.sim, self.ticks)
         landed = self.walker.act(action)
         failed = self.walker.sim.failed.copy()
-        state = walk_state(self.walker, asked, self._torque)
-        self._torque = joint_torques_nm(self.walker)
-        value, terms = reward(state, self.weights)
+        inputs = reward_inputs(self.walker, targets, self._torque_nm)
+        self._torque_nm = self.walker.joint_torque_nm()
+        value, terms = reward(inputs, self.weights)
         self.ticks += 1
-        terminated = failed | fallen(self.walker)
+        terminated = self.walker.fallen()
         truncated = ~terminated & (self.ticks >= self.config.episode_ticks)
-        errors = state.foot_error_m[rows, side], state.foot_heading_error_rad[rows, side]
-        soles_z = self.walker.soles_world()[rows, side, 2]
-        height_error_m = soles_z - asked.targets[rows, side, 2]
+        height_error_m = (self.walker.soles_world() - targets.foot_targets)[foot][:, 2]
         on_stairs = self._episodes.on_stairs.copy()
         self.reset(np.flatnonzero(terminated | truncated))
         observation = self.observe()
         return Transition(
             observation=observation,
-            critic_observation=self.critic_observe(observation),
+            critic_observation=self.critic_observe(),
             reward=np.where(failed, 0.0, value),
             terminated=terminated,
             truncated=truncated,
             failed=failed,
             landed=landed & ~terminated,
-            landing_error_m=errors[0],
-            landing_heading_error_rad=errors[1],
+            landing_error_m=inputs.foot_error_m[foot],
+            landing_heading_error_rad=inputs.foot_heading_error_rad[foot],
             landing_height_error_m=height_error_m,
             stairs=on_stairs,
             terms=terms,
         )
 
-    def critic_observe(self, observation: np.ndarray) -> np.ndarray:
-        """What the critic sees (B, M): the true scaled observation and privileged fields.
+    def critic_observe(self) -> np.ndarray:
+        """The critic's scaled observation (B, M), of the states that `observe` saw last.
 
-        `observation` is what `observe` gave last.
+        It is the policy's without noise, followed by `critic_fields`. The sensors of robots whose
+        episodes have just begun still hold the episode before: errors read 0, forces half.
         """
-        del observation
+        walker, sim, sensors = self.walker, self.walker.sim, self.walker.scene.sensors
+        error = walker.soles_world() - walker.cursor.foot_targets
+        error[..., 3] = wrap_angle(error[..., 3])
+        error = to_heading_frame(sim.qpos, error)[..., [0, 1, 3]]
+        velocity = to_heading_frame(sim.qpos, sim.qvel[:, None, :3])[:, 0]
+        height = sim.qpos[:, 2:3] - walker.robot.pelvis_height_m
+        force = sim.sensors[:, :, sensors.ground_force_world[:, 2]].mean(axis=1)
+        force = force / (walker.robot.mass_kg * 9.81)
+        fresh = self.ticks == 0
+        error[fresh], force[fresh] = 0.0, 0.5
+        fields = [velocity, height, error.reshape(sim.count, -1), force]
         offset, scale = self._critic_normaliser
-        scaled = (privileged(self.walker, self.ticks == 0) - offset) / scale
+        scaled = (np.concatenate(fields, axis=1) - offset) / scale
         return np.concatenate([self._true_observation, scaled], axis=1)

@@ -45,14 +45,14 @@ class GaitTicks:
         """Ticks of a step period."""
         return self.swing + self.double_support
 
-    def lasting(self, step_s: np.ndarray) -> GaitTicks:
+    def for_durations(self, step_s: np.ndarray) -> GaitTicks:
         """Steps (N,) of these durations in seconds, with the same share of swing as this gait."""
         step = np.rint(step_s / CONTROL_PERIOD_S).astype(np.int64)
         swing = np.rint(step * (self.swing / self.step)).astype(np.int64)
         return GaitTicks(swing=swing, double_support=step - swing)
 
 
-def steps_s(
+def step_durations_s(
     plan: FootstepPlan, gait: GaitTiming, pace: str, fastest_s: float, slowest_s: float
 ) -> np.ndarray | None:
     """How long each step of a plan is to take (N,), by a pace of `PACES`; None at `normal`.

@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from controller.curriculum import Stage
 from controller.env import TaskConfig, Transition, WalkTask
 from controller.gait import CONTROL_PERIOD_S
-from controller.gym_render import Moment, SceneRenderer
+from controller.gym_render import RenderState, SceneRenderer
 from controller.observation import SCALED_LIMIT, policy_fields
 from controller.stairs import STAIR_MODES
 from controller.step_sequences import MODES
@@ -45,7 +45,7 @@ def action_space(robot: Robot) -> spaces.Box:
     return spaces.Box(-ACTION_LIMIT_RAD, ACTION_LIMIT_RAD, (len(robot.joints),), np.float32)
 
 
-def within_space(observation: np.ndarray) -> np.ndarray:
+def clip_to_space(observation: np.ndarray) -> np.ndarray:
     """A new array of observations (B, N) in float32 and within the space.
 
     A simulation that broke down may end in numbers that are not finite; they read 0.
@@ -54,7 +54,7 @@ def within_space(observation: np.ndarray) -> np.ndarray:
     return limited.astype(np.float32)
 
 
-def checked_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def validated_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """The action in float64, within its bounds.
 
     Raises:
@@ -68,26 +68,26 @@ def checked_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     return np.clip(action, -ACTION_LIMIT_RAD, ACTION_LIMIT_RAD)
 
 
-class EpisodeTask(WalkTask):
+class GymTask(WalkTask):
     """The walking task, which also keeps how episodes ended.
 
     A `WalkTask` starts the next episode within the step that ends one; `last_observation` (B, N)
-    and `last_moment` are from between the two.
+    and `last_render_state` are from between the two.
     """
 
     last_observation: np.ndarray
-    last_moment: Moment
+    last_render_state: RenderState
 
     def reset(self, rows: np.ndarray) -> None:
         """Start new episodes for the robots `rows`, after a look at the old ones."""
         if len(rows):
-            self.last_observation, self.last_moment = self.observe(), self.moment()
+            self.last_observation, self.last_render_state = self.observe(), self.moment()
         super().reset(rows)
 
-    def moment(self) -> Moment:
+    def moment(self) -> RenderState:
         """The robots as they are now."""
         cursor = self.walker.cursor
-        return Moment(
+        return RenderState(
             qpos=self.walker.sim.qpos.copy(),
             window=cursor.window,
             side=cursor.side,
@@ -104,7 +104,7 @@ def make_task(
     config: TaskConfig | None,
     stage: Stage | None,
     render_mode: str | None,
-) -> EpisodeTask:
+) -> GymTask:
     """The task that an environment runs.
 
     Raises:
@@ -117,7 +117,7 @@ def make_task(
         raise ValueError(f"mode {mode!r}: choose one of {', '.join(modes)}, or None for a mix")
     if count < 1:
         raise ValueError(f"num_envs {count} must be at least 1")
-    return EpisodeTask(
+    return GymTask(
         get_robot(robot),
         count=count,
         seed=0,
@@ -128,7 +128,7 @@ def make_task(
     )
 
 
-def refuse_options(options: dict[str, object] | None) -> None:
+def require_no_options(options: dict[str, object] | None) -> None:
     """Takes no options.
 
     Raises:
@@ -190,15 +190,15 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start a new episode; the same seed gives the same episodes."""
         super().reset(seed=seed)
-        refuse_options(options)
+        require_no_options(options)
         self._task.restart(int(self.np_random.integers(2**63)))
         self._ended = False
-        return within_space(self._task.observe())[0], {}
+        return clip_to_space(self._task.observe())[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Act for one control step; the observation after the last one is the episode's own."""
         (joints,) = self.action_space.shape or ()
-        step = self._task.step(checked_action(action, (joints,))[None])
+        step = self._task.step(validated_action(action, (joints,))[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._ended = terminated or truncated
         seen = self._task.last_observation if self._ended else step.observation
@@ -210,13 +210,13 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         }
         if info["landed"]:
             info |= {name: float(getattr(step, name)[0]) for name in LANDING_ERRORS}
-        return within_space(seen)[0], float(step.reward[0]), terminated, truncated, info
+        return clip_to_space(seen)[0], float(step.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
         """A picture (480, 640, 3) of the robot and its next two steps; None without render_mode."""
         if self._painter is None:
             return None
-        moment = self._task.last_moment if self._ended else self._task.moment()
+        moment = self._task.last_render_state if self._ended else self._task.moment()
         return self._painter.draw(moment, 0)
 
     def close(self) -> None:
@@ -297,25 +297,25 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start new episodes everywhere; one seed is for all robots, whatever the threads."""
         super().reset(seed=seed)
-        refuse_options(options)
+        require_no_options(options)
         self._task.restart(int(self.np_random.integers(2**63)))
-        return within_space(self._task.observe()), {}
+        return clip_to_space(self._task.observe()), {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Act (B, J) for one control step."""
-        step = self._task.step(checked_action(actions, self.action_space.shape or ()))
+        step = self._task.step(validated_action(actions, self.action_space.shape or ()))
         ended = step.terminated | step.truncated
         infos: dict[str, Any] = dict(_infos(step, ~ended))
         if ended.any():
             final = np.full(self.num_envs, None, dtype=object)
-            seen = within_space(self._task.last_observation)
+            seen = clip_to_space(self._task.last_observation)
             for row in np.flatnonzero(ended):
                 final[row] = seen[row].copy()
             infos |= {"final_obs": final, "_final_obs": ended.copy()}
             infos |= {"final_info": _infos(step, ended), "_final_info": ended.copy()}
-        observation = within_space(step.observation)
+        observation = clip_to_space(step.observation)
         return observation, step.reward, step.terminated, step.truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:

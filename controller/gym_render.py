@@ -17,7 +17,7 @@ from sim.scene import Scene, build_scene
 
 
 @dataclass(frozen=True, kw_only=True)
-class Moment:
+class RenderState:
     """What a picture needs of all robots at one moment.
 
     `qpos` is (B, nq), `window` (B, 2, 4) the present and the next step in the world, `side` (B,)
@@ -69,7 +69,7 @@ class SceneRenderer:
         self._renderer = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
 
-    def draw(self, moment: Moment, row: int) -> np.ndarray:
+    def draw(self, moment: RenderState, row: int) -> np.ndarray:
         """The picture (HEIGHT, WIDTH, 3), red green blue, of robot `row` at a moment."""
         self._context.make_current()
         qpos, window, side = moment.qpos[row], moment.window[row], Side(int(moment.side[row]))

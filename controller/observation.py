@@ -1,4 +1,4 @@
-"""What the policy sees, one definition for training and navigation.
+"""The policy's and the critic's observation, one definition for training and navigation.
 
 Step targets are in the heading frame: origin at the pelvis, x along its heading, z up, with z
 measured from the height at which the pelvis stands, so that level ground reads 0.
@@ -10,15 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from planner.plan import wrap_angle
 from sim.robot import Robot
 
-# Training cuts scaled observations off at this, so that a robot out of hand teaches nothing wild.
+# Training clips scaled observations to this, so that outliers do not dominate the updates.
 SCALED_LIMIT = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObsField:
-    """One group of observed numbers: what mirroring does to it, and its fixed scale.
+    """One group of observed numbers, its mirror map and its fixed scale.
 
     The mirrored field is `sign * field[..., index]`. The policy is given field / scale.
     """
@@ -31,7 +32,7 @@ class ObsField:
 
     @property
     def width(self) -> int:
-        """How many numbers it has."""
+        """Count of numbers."""
         return len(self.sign)
 
 
@@ -54,7 +55,8 @@ def _field(
 def policy_fields(robot: Robot) -> tuple[ObsField, ...]:
     """The policy's observation, in order.
 
-    Orientation, joints, gait clock, two steps, and how long these take, which older policies lack.
+    Orientation, joints, gait clock, two steps, and the durations of these; older policies lack the
+    last.
     """
     index, sign = robot.mirror_joints
     joint_sign = tuple(sign)
@@ -71,10 +73,10 @@ def policy_fields(robot: Robot) -> tuple[ObsField, ...]:
 
 
 def critic_fields() -> tuple[ObsField, ...]:
-    """What the critic sees besides, in training only.
+    """The critic's further (privileged) observation, in training only.
 
-    Pelvis velocity in the heading frame and height over its standing height; for each foot the
-    way from its target (x, y in the heading frame, heading); ground forces over the weight.
+    Pelvis velocity in the heading frame, pelvis height over its standing height, each foot's error
+    from its target (x, y in the heading frame, heading), ground forces over the weight.
     """
     return (
         _field("pelvis_linvel_m_s", (1, -1, 1), 0.5),
@@ -85,7 +87,7 @@ def critic_fields() -> tuple[ObsField, ...]:
 
 
 def mirror_map(fields: tuple[ObsField, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Index (N,) and sign (N,) with which the whole observation is mirrored."""
+    """Index (N,) and sign (N,) that mirror the whole observation."""
     starts = np.cumsum([0] + [field.width for field in fields[:-1]])
     index = np.concatenate([start + f.index for start, f in zip(starts, fields, strict=True)])
     return index, np.concatenate([field.sign for field in fields])
@@ -117,19 +119,18 @@ def roll_pitch_rad(qpos: np.ndarray) -> np.ndarray:
     return np.stack([roll, pitch], axis=1)
 
 
-def wrap_angle_rad(angle: np.ndarray) -> np.ndarray:
-    """The same angle in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
+def rotate_xy(vector: np.ndarray, yaw_rad: np.ndarray) -> np.ndarray:
+    """Vectors (..., >=2) with their x and y rotated by the angles (...)."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    rotated = vector.copy()
+    rotated[..., 0] = cos * vector[..., 0] - sin * vector[..., 1]
+    rotated[..., 1] = sin * vector[..., 0] + cos * vector[..., 1]
+    return rotated
 
 
 def to_heading_frame(qpos: np.ndarray, vector_world: np.ndarray) -> np.ndarray:
-    """World vectors (B, n, >=2) with their x and y turned into the pelvis's heading frame."""
-    yaw = pelvis_yaw_rad(qpos)[:, None]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    turned = vector_world.copy()
-    turned[..., 0] = cos * vector_world[..., 0] + sin * vector_world[..., 1]
-    turned[..., 1] = cos * vector_world[..., 1] - sin * vector_world[..., 0]
-    return turned
+    """World vectors (B, n, >=2) rotated into the pelvis's heading frame."""
+    return rotate_xy(vector_world, -pelvis_yaw_rad(qpos)[:, None])
 
 
 def steps_in_heading_frame(robot: Robot, qpos: np.ndarray, window: np.ndarray) -> np.ndarray:
@@ -138,7 +139,7 @@ def steps_in_heading_frame(robot: Robot, qpos: np.ndarray, window: np.ndarray) -
     relative[..., :3] -= qpos[:, None, :3]
     relative = to_heading_frame(qpos, relative)
     relative[..., 2] += robot.pelvis_height_m
-    relative[..., 3] = wrap_angle_rad(window[..., 3] - pelvis_yaw_rad(qpos)[:, None])
+    relative[..., 3] = wrap_angle(window[..., 3] - pelvis_yaw_rad(qpos)[:, None])
     return relative
 
 
@@ -156,14 +157,14 @@ def observe(
     """The policy's observation (B, 41 for 12 joints) before scaling.
 
     Args:
-        robot: whose posture and pelvis height are meant.
+        robot: whose half-sitting posture and pelvis height are the reference.
         qpos: free joint and joints (B, nq).
         qvel: their velocities (B, nv).
-        joint_qpos: where the joints lie in qpos (J,).
-        joint_qvel: where the joints lie in qvel (J,).
+        joint_qpos: indices of the joints in qpos (J,).
+        joint_qvel: indices of the joints in qvel (J,).
         clock: sine and cosine of the gait phase (B, 2), 0 while standing.
         window: the present and the next step in the world (B, 2, 4).
-        step_s: how long these take (B, 2).
+        step_s: durations of these (B, 2).
     """
     steps = steps_in_heading_frame(robot, qpos, window)
     return np.concatenate(

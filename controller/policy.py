@@ -87,7 +87,7 @@ class Policy:
         return np.asarray(values @ weight.T + bias, dtype=np.float64)
 
 
-def fitting(
+def policy_for(
     robot: Robot, layers: tuple[tuple[np.ndarray, np.ndarray], ...], **about: Any
 ) -> Policy:
     """A policy for the robot as it is now defined."""

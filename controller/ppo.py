@@ -1,4 +1,4 @@
-"""rsl-rl's PPO on the walking task: the adapter between them, and the algorithm's settings."""
+"""rsl-rl's PPO on the walking task: adapter, settings of the learner and of a whole run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from controller.rewards import RewardSchedule
 
 @dataclass(frozen=True, kw_only=True)
 class PpoConfig:
-    """Settings of the learner. Rates and noise fall linearly from first to last value."""
+    """Settings of PPO. Learning rate and noise change linearly from first to last value."""
 
     robots: int = 256
     ticks_per_update: int = 64
@@ -58,10 +58,10 @@ class RslWalkEnv(VecEnv):  # type: ignore[misc]
     def get_observations(self) -> TensorDict:
         """The present observations."""
         observation = self.task.observe()
-        return self._pack(observation, self.task.critic_observe(observation))
+        return self._pack(observation, self.task.critic_observe())
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
-        """One control step of every robot; `extras` carries what the task reported."""
+        """One control step of every robot; `extras` holds the task's `Transition`."""
         step = self.task.step(actions.numpy().astype(np.float64))
         done = torch.from_numpy(step.terminated | step.truncated).long()
         extras = {"time_outs": torch.from_numpy(step.truncated).float(), "transition": step}
@@ -114,7 +114,7 @@ class Mirror:
 
 
 def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
-    """A fresh learner for the environment; weights are drawn from torch's generator."""
+    """A new learner for the environment; weights are drawn from torch's generator."""
     network = {"class_name": "MLPModel", "hidden_dims": list(config.hidden), "activation": "relu"}
     noise = {
         "class_name": "GaussianDistribution",
@@ -150,7 +150,7 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
 
 
 def set_progress(ppo: PPO, config: PpoConfig, share: float) -> None:
-    """Set the learning rate and action noise for the share in [0, 1] of training that is done."""
+    """Set learning rate and action noise for the `share` in [0, 1] of the run that is done."""
 
     def between(ends: tuple[float, float]) -> float:
         return ends[0] + (ends[1] - ends[0]) * min(share, 1.0)
@@ -168,16 +168,12 @@ def actor_layers(ppo: PPO) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     return tuple((m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy()) for m in layers)
 
 
-# A whole training run as one value: what is trained, on what, how long.
-
-
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """A whole run. `samples` are control steps of single robots.
+    """Settings of a whole run. `samples` are control steps of single robots.
 
-    `corpus` is the digest of the planner's corpus that is trained on, empty for none. With
-    `warm_up` a run begins with these weights of the reward and goes over to the task's own: see
-    `RewardSchedule`.
+    `corpus` is the digest of the planner's corpus used in training, empty for none. A run with
+    `warm_up` begins with these reward weights and blends to the task's: see `RewardSchedule`.
     """
 
     robot: str = "jvrc1"
@@ -204,5 +200,5 @@ class TrainConfig:
 
     @property
     def segments(self) -> int:
-        """Segments of the whole run; the last one may go a little past `samples`."""
+        """Segments of the run, rounded up to cover `samples`."""
         return -(-self.samples // self.samples_per_segment)

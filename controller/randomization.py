@@ -1,7 +1,7 @@
 """Domain randomization: sensor noise, latency, pushes, model parameters, tread errors.
 
-Every range is (low, high). A `DomainRandomization` says what is drawn; `Disturbances` holds what
-was drawn for each of B robots and applies it. All of it scales with the curriculum's level.
+Every range is (low, high). `DomainRandomization` holds the ranges; `Disturbances` holds the values
+drawn for each of B robots and applies them. All scale with the level, 0 to 1, of the curriculum.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from controller.gait import CONTROL_PERIOD_S
 from planner.robot_model import Interval
 from sim.batch import SimBatch
 
@@ -19,19 +20,19 @@ PUSH_TICKS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class DomainRandomization:
-    """Ranges of everything that is disturbed, drawn per episode unless it says otherwise.
+    """Ranges of the disturbances, drawn once per episode unless stated otherwise.
 
-    In a share `quiet_share` of the episodes nothing is sensed wrongly, late or pushed. Noise is
-    uniform, drawn anew at every control step, between minus and plus the episode's amplitude.
-    Joint speeds are off by `joint_speed_noise_per_s` (rad/s per rad of position noise). Friction,
-    masses, centre of mass and gains belong to the simulation and are drawn once per segment of
-    training. Tread errors apply in stair episodes, to a share `true_tread_share` not at all.
+    A share `undisturbed_share` of the episodes has no noise, latency or push. Noise is uniform,
+    drawn at every control step, between minus and plus the episode's amplitude; the amplitude for
+    joint speeds is `joint_speed_noise_per_s` (rad/s per rad) times that of joint positions.
+    Friction, masses, centre of mass and gains are drawn once per segment of training. Tread errors
+    apply in stair episodes except a share `exact_tread_share`.
 
     Raises:
-        ValueError: a range that is none, a share that is none, or latency beyond one step.
+        ValueError: an invalid range or share, or latency beyond one control step.
     """
 
-    quiet_share: float = 0.4
+    undisturbed_share: float = 0.4
     joint_noise_deg: Interval = (0.0, 6.5)
     joint_speed_noise_per_s: float = 10.0
     tilt_noise_deg: Interval = (0.0, 1.0)
@@ -40,7 +41,7 @@ class DomainRandomization:
     latency_ticks: Interval = (0.0, 1.0)
     push_share: float = 0.25
     push_n_s: Interval = (0.0, 12.0)
-    true_tread_share: float = 0.3
+    exact_tread_share: float = 0.3
     tread_error_m: Interval = (0.0, 0.055)
     friction_factor: Interval = (0.7, 1.2)
     mass_factor: Interval = (0.94, 1.06)
@@ -60,15 +61,15 @@ class DomainRandomization:
     def exactly(
         cls, *, joint_noise_deg: float = 0.0, tread_error_m: float = 0.0
     ) -> DomainRandomization:
-        """These amplitudes in every episode, and nothing else."""
+        """These amplitudes in every episode, and no other disturbance."""
         return cls(
-            quiet_share=0.0,
+            undisturbed_share=0.0,
             joint_noise_deg=(joint_noise_deg, joint_noise_deg),
             tilt_noise_deg=(0.0, 0.0),
             angular_speed_noise_rad_s=(0.0, 0.0),
             latency_share=0.0,
             push_share=0.0,
-            true_tread_share=0.0,
+            exact_tread_share=0.0,
             tread_error_m=(tread_error_m, tread_error_m),
             friction_factor=(1.0, 1.0),
             mass_factor=(1.0, 1.0),
@@ -78,13 +79,13 @@ class DomainRandomization:
 
     @property
     def varies_models(self) -> bool:
-        """Whether any simulation's model is to differ from the robot's own."""
+        """Whether any model parameter is randomized."""
         ranges = (self.friction_factor, self.mass_factor, self.gain_factor)
         return any(r != (1.0, 1.0) for r in ranges) or self.pelvis_com_m != (0.0, 0.0)
 
 
 def _check_range(name: str, interval: Interval) -> None:
-    """Raises ValueError unless it is a range of values that the field can have."""
+    """Raises ValueError unless the range is valid for the field."""
     low, high = interval
     if not (math.isfinite(low) and math.isfinite(high) and low <= high):
         raise ValueError(f"{name}: ({low}, {high}) must be finite, low <= high")
@@ -97,7 +98,7 @@ def _check_range(name: str, interval: Interval) -> None:
 
 
 class Disturbances:
-    """What has been drawn for each of B robots. Nothing is drawn at level 0."""
+    """The disturbances drawn for each of B robots; all zero at first."""
 
     def __init__(self, config: DomainRandomization, count: int, joints: int):
         self.config = config
@@ -110,60 +111,50 @@ class Disturbances:
         self._pushing = False
         self._joints = joints
 
-    def draw_episode(
-        self,
-        rng: np.random.Generator,
-        row: int,
-        disturbance_level: float,
-        *,
-        period_s: float,
-        ticks: int,
-    ) -> None:
-        """Draw an episode of `ticks` control steps of `period_s` for robot `row`."""
+    def draw_episode(self, rng: np.random.Generator, row: int, level: float, *, ticks: int) -> None:
+        """Draw the disturbances of robot `row` for an episode of `ticks` control steps."""
         config = self.config
-        loud = rng.uniform() >= config.quiet_share
-        scale = disturbance_level * loud
+        loud = rng.uniform() >= config.undisturbed_share
+        scale = level * loud
         self.joint_noise_rad[row] = math.radians(scale * rng.uniform(*config.joint_noise_deg))
         self.tilt_noise_rad[row] = math.radians(scale * rng.uniform(*config.tilt_noise_deg))
         self.angular_speed_noise_rad_s[row] = scale * rng.uniform(*config.angular_speed_noise_rad_s)
         late = loud and rng.uniform() < config.latency_share
-        self.latency_ticks[row] = disturbance_level * rng.uniform(*config.latency_ticks) * late
+        self.latency_ticks[row] = level * rng.uniform(*config.latency_ticks) * late
         pushed = loud and rng.uniform() < config.push_share
         angle, push_n_s = rng.uniform(-np.pi, np.pi), rng.uniform(*config.push_n_s)
-        size_n = pushed * disturbance_level * push_n_s / (PUSH_TICKS * period_s)
+        size_n = pushed * level * push_n_s / (PUSH_TICKS * CONTROL_PERIOD_S)
         self._push_n[row] = size_n * math.cos(angle), size_n * math.sin(angle), 0.0
         self._push_tick[row] = rng.integers(ticks)
 
     def clear(self, row: int) -> None:
-        """Robot `row` walks an episode without any of it."""
-        for amplitude in (self.joint_noise_rad, self.tilt_noise_rad, self.latency_ticks):
-            amplitude[row] = 0.0
-        self.angular_speed_noise_rad_s[row] = 0.0
+        """Remove the disturbances of robot `row`."""
+        for noise in (self.joint_noise_rad, self.tilt_noise_rad, self.angular_speed_noise_rad_s):
+            noise[row] = 0.0
+        self.latency_ticks[row] = 0.0
         self._push_n[row] = 0.0
 
-    def draw_tread_error_m(self, rng: np.random.Generator, disturbance_level: float) -> float:
-        """By how much the treads of one stair episode may be off."""
-        off = rng.uniform() >= self.config.true_tread_share
-        return float(disturbance_level * off * rng.uniform(*self.config.tread_error_m))
+    def draw_tread_error_m(self, rng: np.random.Generator, level: float) -> float:
+        """Amplitude of the tread errors of one stair episode."""
+        off = rng.uniform() >= self.config.exact_tread_share
+        return float(level * off * rng.uniform(*self.config.tread_error_m))
 
-    def vary_models(
-        self, rng: np.random.Generator, sim: SimBatch, disturbance_level: float
-    ) -> None:
-        """Draw the models of all simulations."""
+    def randomize_models(self, rng: np.random.Generator, sim: SimBatch, level: float) -> None:
+        """Draw the model parameters of all simulations."""
         config, count = self.config, sim.count
 
         def factor(interval: Interval) -> np.ndarray:
-            return 1.0 + disturbance_level * (rng.uniform(*interval, count) - 1.0)
+            return 1.0 + level * (rng.uniform(*interval, count) - 1.0)
 
         sim.variation().set(
             friction=factor(config.friction_factor),
             mass=factor(config.mass_factor),
             gain=factor(config.gain_factor),
-            pelvis_com_m=disturbance_level * rng.uniform(*config.pelvis_com_m, (count, 3)),
+            pelvis_com_m=level * rng.uniform(*config.pelvis_com_m, (count, 3)),
         )
 
     def push(self, sim: SimBatch, ticks: np.ndarray) -> None:
-        """Push the robots whose episodes are at their push, `ticks` (B,) into the episode."""
+        """Apply the pushes that are due, `ticks` (B,) control steps into the episodes."""
         now = (ticks >= self._push_tick) & (ticks < self._push_tick + PUSH_TICKS)
         now &= self._push_n.any(axis=1)
         if now.any() or self._pushing:
@@ -171,22 +162,15 @@ class Disturbances:
         self._pushing = bool(now.any())
 
     def sense(self, rng: np.random.Generator, observation: np.ndarray) -> np.ndarray:
-        """The observation (B, N) as `observe` gives it, with the noise of the sensors."""
-        count, joints = len(observation), self._joints
-        noise = rng.uniform(-1, 1, (count, 5 + 2 * joints))
-        amplitude = np.concatenate(
-            [
-                np.repeat(self.tilt_noise_rad[:, None], 2, axis=1),
-                np.repeat(self.angular_speed_noise_rad_s[:, None], 3, axis=1),
-                np.repeat(self.joint_noise_rad[:, None], joints, axis=1),
-                np.repeat(
-                    self.config.joint_speed_noise_per_s * self.joint_noise_rad[:, None],
-                    joints,
-                    axis=1,
-                ),
-            ],
-            axis=1,
-        )
+        """The unscaled observation (B, N) with sensor noise on its first fields.
+
+        These are roll and pitch, the pelvis's angular velocity, joint positions and joint speeds.
+        """
+        joint_rad = self.joint_noise_rad
+        joint_rad_s = self.config.joint_speed_noise_per_s * joint_rad
+        amplitudes = self.tilt_noise_rad, self.angular_speed_noise_rad_s, joint_rad, joint_rad_s
+        widths = 2, 3, self._joints, self._joints
+        amplitude = np.repeat(np.stack(amplitudes, axis=1), widths, axis=1)
         sensed = observation.copy()
-        sensed[:, : 5 + 2 * joints] += amplitude * noise
+        sensed[:, : sum(widths)] += amplitude * rng.uniform(-1, 1, amplitude.shape)
         return sensed

@@ -28,7 +28,7 @@ from controller.checkpoint import (
 )
 from controller.curriculum import Stage
 from controller.env import Transition, WalkTask
-from controller.policy import Policy, fitting, save_policy
+from controller.policy import Policy, policy_for, save_policy
 from controller.ppo import RslWalkEnv, TrainConfig, actor_layers, make_ppo, set_progress
 from controller.step_sequences import PlannedSteps
 from sim.robot import Robot
@@ -77,7 +77,7 @@ class SegmentStatistics:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Report:
+class SegmentReport:
     """What a segment gave; passed to the progress display."""
 
     samples: int
@@ -143,7 +143,7 @@ class Trainer:
         self.best_score: tuple[float, ...] = (-np.inf,)
         self.history: list[dict[str, Any]] = []
 
-    def run(self, progress: Callable[[Report], None]) -> None:
+    def run(self, progress: Callable[[SegmentReport], None]) -> None:
         """Train to the end, from where the run stands; the best policy is in the folder.
 
         Raises:
@@ -167,7 +167,7 @@ class Trainer:
                 "make room and go on with --resume"
             ) from error
 
-    def _run_segment(self, writer: Any) -> Report:
+    def _run_segment(self, writer: Any) -> SegmentReport:
         config = self.config
         segment_seed = np.random.SeedSequence([config.seed, self.segment])
         torch.manual_seed(int(segment_seed.generate_state(1)[0]))  # rsl-rl draws from it
@@ -206,7 +206,7 @@ class Trainer:
         losses: dict[str, float],
         results: tuple[ModeResult, ...],
         seconds: float,
-    ) -> Report:
+    ) -> SegmentReport:
         """Log the segment, keep its line of history, and tell whether it is the best so far."""
         config, stage, (flat, *stairs) = self.config, self.stage, results
         samples = self.segment * config.samples_per_segment
@@ -234,7 +234,7 @@ class Trainer:
             flat_success=flat.success,
             stairs_success=stairs[0].success if stairs else 0.0,
         )
-        return Report(
+        return SegmentReport(
             samples=samples,
             samples_total=config.segments * config.samples_per_segment,
             samples_per_s=config.samples_per_segment / seconds,
@@ -250,7 +250,7 @@ class Trainer:
 
     def _policy(self) -> Policy:
         config = self.config
-        return fitting(
+        return policy_for(
             self.robot,
             actor_layers(self.ppo),
             mujoco_version=mujoco.__version__,

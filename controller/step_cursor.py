@@ -1,9 +1,8 @@
-"""Which step of its plan each robot is at.
+"""The present step of each robot in its step sequence.
 
-A sequence is a plan with the feet it starts from in front, so that every step has the stance it
-leaves: entry 0 is the starting place of the foot that moves first, entry 1 that of the other,
-entry 2 + k is step k. The window on the sequence is driven by the gait clock: it moves on when a
-step's period ends. So the side of each step and the phase of the gait always agree.
+A step sequence is a plan preceded by the start stance: entry 0 is the pose of the foot that moves
+first, entry 1 that of the other foot, entry 2 + k is step k. The gait clock moves the window on the
+sequence: it advances when a step's period ends, so side of the step and phase of the gait agree.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ STANCE = 2  # entries of a sequence before its first step
 
 @dataclass(frozen=True, kw_only=True)
 class StepSequence:
-    """The feet at the start and the steps to take.
+    """The start stance followed by the steps.
 
     `side` (STANCE + N,) alternates; `pose_world` (STANCE + N, 4) is x_m, y_m, z_m, yaw_rad.
     `step_s` (N,) is how long each step takes; None: as long as the robot's gait does.
@@ -38,7 +37,7 @@ class StepSequence:
         pose_world: np.ndarray,
         step_s: np.ndarray | None = None,
     ) -> StepSequence:
-        """A sequence from both feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
+        """A sequence from the start feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
 
         Raises:
             ValueError: the steps do not alternate between left and right.
@@ -55,12 +54,11 @@ class StepSequence:
 
 
 class StepCursor:
-    """The present step of each of B robots, and where in its gait period each is.
+    """The present step of each of B robots and the control tick within its period.
 
-    `entry` (B,) is the sequence entry that the window shows first. While a robot walks, this is
-    the step whose foot swings (or has just landed); `tick` (B,) counts from its lift-off.
-    While it stands, the window shows the two feet it stands on. `gait` is what steps take that
-    say nothing else.
+    `entry` (B,) is the first sequence entry of the window. While a robot walks, this is the step
+    whose foot swings or has just landed; `tick` (B,) counts from its lift-off. While it stands, the
+    window holds the two feet it stands on. `gait` is the duration of steps without their own.
     """
 
     def __init__(self, gait: GaitTicks, count: int, capacity: int):
@@ -94,14 +92,14 @@ class StepCursor:
             self._swing = np.pad(self._swing, ((0, 0), (0, grown)))
             self._double = np.pad(self._double, ((0, 0), (0, grown)))
         self._side[row, :end], self._pose[row, :end] = sequence.side, sequence.pose_world
-        # Past the last step the window shows the foot that is standing there already.
+        # After the last step the window shows the other foot where it stands.
         self._side[row, end], self._pose[row, end] = sequence.side[-2], sequence.pose_world[-2]
         self._swing[row], self._double[row] = self.gait.swing, self.gait.double_support
         if sequence.step_s is not None and steps:
-            lasting = self.gait.lasting(sequence.step_s)
+            ticks = self.gait.for_durations(sequence.step_s)
             self._swing[row, STANCE:end], self._double[row, STANCE:end] = (
-                lasting.swing,
-                lasting.double_support,
+                ticks.swing,
+                ticks.double_support,
             )
             # The weight shift before the first step is as quick as that step.
             self._swing[row, :STANCE] = self._swing[row, STANCE]

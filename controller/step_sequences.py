@@ -18,51 +18,53 @@ from planner.robot_model import Side, StepLimits, StepModel
 MAX_STEPS = 12
 
 # Gives the next step; told whether the swing foot is the outer one of the motion.
-Draw = Callable[[bool], tuple[float, float, float]]
+DrawStep = Callable[[bool], tuple[float, float, float]]
 
 
-def _straight(rng: np.random.Generator, limits: StepLimits, low_m: float, high_m: float) -> Draw:
+def _straight(
+    rng: np.random.Generator, limits: StepLimits, low_m: float, high_m: float
+) -> DrawStep:
     length_m, width_m = rng.uniform(low_m, high_m), _stance_width(rng, limits)
     return lambda outer: (length_m, width_m, 0.0)
 
 
-def _forward(rng: np.random.Generator, model: StepModel) -> Draw:
+def _forward(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     return _straight(rng, limits, 0.08, limits.x_m[1])
 
 
-def _backward(rng: np.random.Generator, model: StepModel) -> Draw:
+def _backward(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     return _straight(rng, limits, limits.x_m[0], -0.05)
 
 
-def _in_place(rng: np.random.Generator, model: StepModel) -> Draw:
+def _in_place(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     return _straight(rng, limits, 0.0, 0.0)
 
 
-def _sideways(rng: np.random.Generator, model: StepModel) -> Draw:
+def _sideways(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     width_m = _stance_width(rng, limits)
     out_m = rng.uniform(0.03, max(0.03, limits.y_m[1] - width_m))
     return lambda outer: (0.0, width_m + out_m if outer else width_m, 0.0)
 
 
-def _curved(rng: np.random.Generator, model: StepModel) -> Draw:
+def _curved(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     length_m, width_m = rng.uniform(0.05, 0.3), _stance_width(rng, limits)
     out_rad, in_rad = rng.uniform(0.05, limits.yaw_rad[1]), rng.uniform(0.0, 0.1)
     return lambda outer: (length_m, width_m, out_rad if outer else -in_rad)
 
 
-def _turning(rng: np.random.Generator, model: StepModel) -> Draw:
+def _turning(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     width_m, out_rad = _stance_width(rng, limits), rng.uniform(0.1, limits.yaw_rad[1])
     back_rad = rng.choice([0.0, min(0.5 * out_rad, -limits.yaw_rad[0])])
     return lambda outer: (0.0, width_m, out_rad if outer else -back_rad)
 
 
-def _diagonal(rng: np.random.Generator, model: StepModel) -> Draw:
+def _diagonal(rng: np.random.Generator, model: StepModel) -> DrawStep:
     limits = model.limits
     length_m = rng.uniform(0.6 * limits.x_m[0], 0.7 * limits.x_m[1])
     width_m = _stance_width(rng, limits)
@@ -70,7 +72,7 @@ def _diagonal(rng: np.random.Generator, model: StepModel) -> Draw:
     return lambda outer: (length_m, width_m + out_m if outer else width_m, 0.0)
 
 
-def _arbitrary(rng: np.random.Generator, model: StepModel) -> Draw:
+def _arbitrary(rng: np.random.Generator, model: StepModel) -> DrawStep:
     """Every step anew: anywhere within the limits, or near a step of the planner's set.
 
     Plans mix steps of all kinds, and a robot that knows each kind but not the change from one to
@@ -95,7 +97,7 @@ def _stance_width(rng: np.random.Generator, limits: StepLimits) -> float:
     return rng.uniform(limits.y_m[0] + 0.01, limits.y_m[0] + 0.08)
 
 
-MODES: Mapping[str, Callable[[np.random.Generator, StepModel], Draw]] = {
+MODES: Mapping[str, Callable[[np.random.Generator, StepModel], DrawStep]] = {
     "forward": _forward,
     "backward": _backward,
     "sideways": _sideways,
@@ -165,12 +167,12 @@ def draw_sequence(
     if steps:
         relative.append((0.0, model.stance_width_m, 0.0))
     drawn = np.array(relative).reshape(-1, 3)
-    within = kept_within(drawn, model.limits, model.stance_width_m)
+    within = clip_to_limits(drawn, model.limits, model.stance_width_m)
     side, poses = chain_steps(start_feet_world, first, within)
     return StepSequence.of(start_feet_world, side, poses)
 
 
-def kept_within(steps: np.ndarray, limits: StepLimits, stance_width_m: float) -> np.ndarray:
+def clip_to_limits(steps: np.ndarray, limits: StepLimits, stance_width_m: float) -> np.ndarray:
     """The steps (N, 3) brought within the limits.
 
     Each number is clipped to its interval; where a step then lies outside the polygon, it goes

@@ -20,7 +20,7 @@ FORMAT = "measured-follower/1"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Measured:
+class TrackingLimits:
     """What planning needs to know of the robot that follows.
 
     `limits`: all steps within them together succeed in at least 99 % of walks. `foot_margin_m`
@@ -36,24 +36,24 @@ class Measured:
     evidence: dict[str, Any] = field(default_factory=dict)
 
 
-def measured_path(policy_path: Path | None, robot: Robot) -> Path:
+def tracking_limits_path(policy_path: Path | None, robot: Robot) -> Path:
     """Where the measurements of a policy are, by default of the robot's own."""
     policy_path = policy_path or POLICY_FOLDER / f"{robot.name}.safetensors"
     return policy_path.with_suffix(".measured.json")
 
 
-def to_text(measured: Measured) -> str:
+def tracking_limits_text(measured: TrackingLimits) -> str:
     """The text of the file."""
     return json.dumps({"format": FORMAT, **asdict(measured)}, indent=1) + "\n"
 
 
-def load_measured(robot: Robot, policy_path: Path | None = None) -> Measured | None:
+def load_tracking_limits(robot: Robot, policy_path: Path | None = None) -> TrackingLimits | None:
     """What was measured of a policy; None where nothing was, or it was of other weights.
 
     Raises:
         PolicyError: the file cannot be read or is of another robot.
     """
-    path = measured_path(policy_path, robot)
+    path = tracking_limits_path(policy_path, robot)
     about_path = path.with_name(path.name.removesuffix(".measured.json") + ".json")
     if not (path.is_file() and about_path.is_file()):
         return None
@@ -62,7 +62,7 @@ def load_measured(robot: Robot, policy_path: Path | None = None) -> Measured | N
         weights = json.loads(about_path.read_text())["sha256"]
         if values.pop("format") != FORMAT:
             raise ValueError(f"its format is not {FORMAT}")
-        measured = Measured(limits=limits_from(values.pop("limits")), **values)
+        measured = TrackingLimits(limits=limits_from(values.pop("limits")), **values)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise PolicyError(f"{path} cannot be read ({error}): evaluate the policy again") from error
     if measured.robot != robot.name:
@@ -82,7 +82,7 @@ def limits_from(document: Mapping[str, Any]) -> StepLimits:
     return StepLimits(**intervals, reach_m=reach_m)
 
 
-def planning_model(model: StepModel, measured: Measured) -> StepModel:
+def planning_model(model: StepModel, measured: TrackingLimits) -> StepModel:
     """The step model with measured limits and margins; steps outside the limits are dropped.
 
     The polygon of the step model stays where it has one.
@@ -102,19 +102,19 @@ def planning_model(model: StepModel, measured: Measured) -> StepModel:
     )
 
 
-def as_measured(robot: Robot, policy_path: Path | None = None) -> Robot:
+def with_tracking_limits(robot: Robot, policy_path: Path | None = None) -> Robot:
     """The robot with the step model that its policy was measured to walk, where it was.
 
     Raises:
         PolicyError: what was measured cannot be read or used.
     """
-    measured = load_measured(robot, policy_path)
+    measured = load_tracking_limits(robot, policy_path)
     if measured is None:
         return robot
     try:
         model = planning_model(robot.step_model, measured)
     except ValueError as error:
-        path = measured_path(policy_path, robot)
+        path = tracking_limits_path(policy_path, robot)
         raise PolicyError(f"{path} does not fit {robot.name}: {error}") from error
     # What is trained on stays as the robot's file says.
     trained = robot.training_model.limits

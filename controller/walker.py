@@ -1,4 +1,4 @@
-"""Robots that follow sequences: one code path for training (B = 256) and navigation (B = 1)."""
+"""Robots that follow step sequences, in training (B = 256) and in navigation (B = 1)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sim.scene import Scene
 class Walker:
     """B robots in a scene, each with a step cursor and its last action.
 
-    An action (B, J) is an offset in rad from half-sitting. The joint target sent is half the
-    new action and half the one before, as in the reference code of Singh et al. 2022.
-    `latency_ticks` (B,) in [0, 1] is by how much of a control step targets come late.
+    An action (B, J) is an offset in rad from half-sitting. The joint target is the mean of the
+    new action and the one before, as in the reference code of Singh et al. 2022.
+    `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps.
     """
 
     def __init__(
@@ -73,8 +73,8 @@ class Walker:
             True (B,) where a step's period has just ended, as from `StepCursor.advance`.
         """
         blend = 0.5 * (action + self.action)
-        late = self.latency_ticks[:, None]
-        self.sim.step(self.robot.half_sitting_rad + (1 - late) * blend + late * self._sent)
+        latency = self.latency_ticks[:, None]
+        self.sim.step(self.robot.half_sitting_rad + (1 - latency) * blend + latency * self._sent)
         self._sent = blend
         self.action = action.copy()
         return self.cursor.advance()
@@ -86,3 +86,16 @@ class Walker:
         axis = latest[:, self.scene.sensors.sole_x_axis_world]
         yaw = np.arctan2(axis[..., 1], axis[..., 0])
         return np.concatenate([position, yaw[..., None]], axis=2)
+
+    def joint_torque_nm(self) -> np.ndarray:
+        """Joint torques (B, J) at the last physics step."""
+        return self.sim.sensors[:, -1][:, self.scene.sensors.joint_torque]
+
+    def fallen(self) -> np.ndarray:
+        """Robots (B,) whose pelvis is too low, whose legs touch, or whose simulation failed."""
+        sensors, latest = self.scene.sensors, self.sim.sensors[:, -1]
+        lower_sole_z = latest[:, sensors.sole_pos_world[:, 2]].min(axis=1)
+        height_m = latest[:, sensors.pelvis_pos_world[2]] - lower_sole_z
+        touching = self.sim.sensors[:, :, sensors.legs_touching[0]].max(axis=1) > 0
+        # Negated so that nan counts as a fall.
+        return self.sim.failed | ~(height_m >= self.robot.fallen_height_m) | touching

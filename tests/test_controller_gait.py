@@ -1,4 +1,4 @@
-"""Gait clock, step sequences and the step cursor: hand-worked numbers and laws."""
+"""Gait clock, sequences and the step cursor: hand-worked numbers and laws."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.gait import GaitTicks, clock, steps_s, support_indicator
+from controller.gait import GaitTicks, clock, step_durations_s, support_indicator
 from controller.step_cursor import STANCE, StepCursor, StepSequence
 from planner.plan import FootstepPlan
 from planner.robot_model import Side
@@ -221,8 +221,8 @@ def test_only_straight_level_steps_are_taken_fast():
     plan = FootstepPlan(
         start_feet_world=FEET, start=(0, 0, 0), goal=(1, 0, 0), side=sides, pose_world=poses
     )
-    assert steps_s(plan, gait, "normal", 0.7, 1.4) is None
+    assert step_durations_s(plan, gait, "normal", 0.7, 1.4) is None
     for pace, expected in (("slow", [1.4] * 6), ("fast", [0.7, 1.1, 1.1, 1.1, 1.1, 0.7])):
-        durations = steps_s(plan, gait, pace, 0.7, 1.4)
+        durations = step_durations_s(plan, gait, pace, 0.7, 1.4)
         assert durations is not None
         assert durations.tolist() == expected

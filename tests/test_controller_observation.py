@@ -14,6 +14,7 @@ from controller.observation import (
     pelvis_yaw_rad,
     policy_fields,
     roll_pitch_rad,
+    rotate_xy,
     steps_in_heading_frame,
 )
 from controller.step_cursor import STANCE, StepSequence
@@ -37,6 +38,12 @@ def quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:
             sy * cp * cr - cy * sp * sr,
         ]
     )
+
+
+def test_vectors_rotate_counterclockwise():
+    """3 cm ahead and 1 cm left of a heading along +y is 1 cm toward -x and 3 cm toward +y."""
+    rotated = rotate_xy(np.array([[0.03, 0.01, 5.0]]), np.array([np.pi / 2]))
+    assert rotated[0] == pytest.approx([-0.01, 0.03, 5.0])
 
 
 def test_angles_come_back_from_the_quaternion():

@@ -9,7 +9,7 @@ import pytest
 
 from controller import rewards as r
 
-PERFECT = r.WalkState(
+PERFECT = r.RewardInputs(
     support_indicator=np.array([[1.0, -1.0]]),
     ground_force_weights=np.array([[1.0, 0.0]]),
     sole_speed_m_s=np.array([[0.0, 2.0]]),
@@ -34,7 +34,7 @@ PERFECT = r.WalkState(
     posture_error_rad=np.zeros(1),
     standing=np.array([False]),
     peak_force_weights=np.ones(1),
-    hasty_m_s=np.zeros((1, 2)),
+    landing_overspeed_m_s=np.zeros((1, 2)),
 )
 
 
@@ -108,7 +108,7 @@ def test_weights_sum_to_1(preset):
         ),
         ("peak_force", {"peak_force_weights": np.array([1.3])}, np.exp(-1)),
         ("peak_force", {"peak_force_weights": np.array([0.7])}, 1.0),
-        ("soft_landing", {"hasty_m_s": np.array([[0.0, 0.15]])}, np.exp(-1)),
+        ("soft_landing", {"landing_overspeed_m_s": np.array([[0.0, 0.15]])}, np.exp(-1)),
     ],
 )
 def test_hand_worked_values(term, change, expected):
@@ -125,7 +125,7 @@ def test_the_papers_weights():
 def test_a_swing_foot_leaves_and_lands_slowly_and_clears_a_sill():
     """Its speed at the ground is the one allowed there, and grows with the height."""
     time_s = np.linspace(0.0, 0.375, 3751)
-    height_m = r.swing_profile_m(time_s)
+    height_m = r.swing_height_profile_m(time_s)
     speed_m_s = np.diff(height_m) / np.diff(time_s)
     assert height_m[0] == 0.0
     assert speed_m_s[0] == pytest.approx(r.TOUCHDOWN_M_S, rel=0.01)

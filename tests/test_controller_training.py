@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from controller.assessment import assess_mode, in_step_frame
+from controller.assessment import assess_mode
 from controller.checkpoint import TrainingError
 from controller.curriculum import Curriculum, Stage
 from controller.env import TaskConfig, WalkTask
-from controller.policy import Policy, PolicyError, fitting, load_policy, save_policy
+from controller.policy import Policy, PolicyError, load_policy, policy_for, save_policy
 from controller.ppo import PpoConfig, TrainConfig
 from controller.runner import Trainer
 from controller.step_cursor import STANCE
@@ -42,7 +42,7 @@ def small_policy(robot, seed=0) -> Policy:
         (rng.normal(size=(8, inputs)).astype(np.float32), np.zeros(8, np.float32)),
         (0.01 * rng.normal(size=(outputs, 8)).astype(np.float32), np.zeros(outputs, np.float32)),
     )
-    return fitting(robot, layers, note="a test's")
+    return policy_for(robot, layers, note="a test's")
 
 
 @pytest.mark.parametrize("name", robot_names())
@@ -145,13 +145,6 @@ def test_held_out_assessment_repeats_and_counts_each_landing():
     assert not np.array_equal(first.landing_error_m, other.landing_error_m)
     assert np.hypot(*first.landing_offset_m.T) == pytest.approx(first.landing_error_m)
     assert first.episode_ticks.tolist() == [150] * 4
-
-
-def test_offsets_are_along_and_across_the_step():
-    """A step that heads along +y, and a foot 3 cm before it and 1 cm to its left."""
-    asked = np.array([[1.0, 2.0, 0.0, np.pi / 2]])
-    placed = np.array([[0.99, 2.03, 0.0, 0.0]])
-    assert in_step_frame(asked, placed)[0] == pytest.approx([0.03, 0.01])
 
 
 def test_policy_acts_as_its_layers_worked_by_hand():

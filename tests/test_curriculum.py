@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from controller.curriculum import FLAT, MEASURED, PAPER, Curriculum, Stage
-from controller.rewards import lift_reference_m
+from controller.rewards import swing_ground_m
 
 
 def after(curriculum, stage, flat=1.0, stairs=1.0, updates=0):
@@ -82,7 +82,7 @@ def lift(done_x_m, rise_m, y_m=0.0, way_m=0.4):
     """Reference for a foot at x of a way along x, over a start at height 1."""
     sole = np.array([[done_x_m, y_m, 9.0, 0.0]])
     start, target = np.array([[0, 0, 1.0, 0.0]]), np.array([[way_m, 0, 1.0 + rise_m, 0.0]])
-    return float(lift_reference_m(sole, start, target)[0])
+    return float(swing_ground_m(sole, start, target)[0])
 
 
 @pytest.mark.parametrize("x_m", [-0.1, 0.0, 0.13, 0.4, 0.6])

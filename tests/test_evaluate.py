@@ -21,7 +21,7 @@ from app.evaluation.sections import SECTIONS, measured_of, mode_row, sole_errors
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
 from controller.policy import POLICY_FOLDER, load_policy
-from controller.tracking_limits import limits_from, load_measured, measured_path
+from controller.tracking_limits import limits_from, load_tracking_limits, tracking_limits_path
 from planner.robot_model import FootShape
 from sim.robots import get_robot
 
@@ -80,11 +80,11 @@ def bench(episodes: int = 100) -> EvaluationSetup:
 @pytest.mark.slow
 def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     few = [(0.0, 0.2, 0.0), (0.3, 0.2, 0.0), (0.0, 0.2, 0.3)]
-    monkeypatch.setattr(evaluate_limits, "kinds_over", lambda *_: np.array(few))
+    monkeypatch.setattr(evaluate_limits, "step_grid", lambda *_: np.array(few))
     monkeypatch.setattr(evaluate_modes, "TREAD_NOISE_M", (0.03,))
     monkeypatch.setattr(evaluate_modes, "JOINT_NOISE_DEG", (3.0,))
     monkeypatch.setattr(evaluate_modes, "LONG_WALK_S", 5.0)
-    stored = measured_path(None, ROBOT)
+    stored = tracking_limits_path(None, ROBOT)
     before = stored.read_bytes() if stored.exists() else None
     assert main([*WORDS, "--json", "--out", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -203,7 +203,7 @@ def test_stored_beside_the_weights_from_enough_episodes_on(tmp_path, measured_re
     for episodes, name in ((99, None), (100, "own.measured.json")):
         measured = measured_of(bench(episodes), measured_results)
         assert evaluate._store(options, bench(episodes), measured) == name
-        assert load_measured(ROBOT, options.policy) == (measured if name else None)
+        assert load_tracking_limits(ROBOT, options.policy) == (measured if name else None)
     assert "99 episodes are too few" in capsys.readouterr().err
 
 

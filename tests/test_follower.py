@@ -12,22 +12,22 @@ import pytest
 from app.options import find_robot_with_limits
 from controller.evaluation import step_limits as step_region
 from controller.evaluation.step_limits import (
-    Reach,
+    BodySway,
+    LimitTrial,
     StepWalks,
-    Trial,
-    corners_of,
     cut_back,
     half_extent,
-    kinds_over,
+    limit_corners,
     search_limits,
+    step_grid,
 )
 from controller.policy import Policy, PolicyError, load_policy, save_policy
 from controller.tracking_limits import (
-    Measured,
-    as_measured,
-    load_measured,
-    measured_path,
-    to_text,
+    TrackingLimits,
+    load_tracking_limits,
+    tracking_limits_path,
+    tracking_limits_text,
+    with_tracking_limits,
 )
 from planner.lattice.steps import allowed
 from planner.robot_model import StepLimits
@@ -46,7 +46,7 @@ def policy_path(tmp_path):
     return path
 
 
-def measured(path, **changes) -> Measured:
+def measured(path, **changes) -> TrackingLimits:
     about = json.loads(path.with_suffix(".json").read_text())
     values = {
         "robot": "jvrc1",
@@ -56,13 +56,13 @@ def measured(path, **changes) -> Measured:
         "body_margin_m": 0.093,
         "evidence": {"episodes": 1000},
     }
-    return Measured(**(values | changes))
+    return TrackingLimits(**(values | changes))
 
 
 def test_measured_limits_and_margins_are_what_planning_uses(policy_path):
     written = measured(policy_path)
-    measured_path(policy_path, ROBOT).write_text(to_text(written))
-    assert load_measured(ROBOT, policy_path) == written
+    tracking_limits_path(policy_path, ROBOT).write_text(tracking_limits_text(written))
+    assert load_tracking_limits(ROBOT, policy_path) == written
     model = find_robot_with_limits("jvrc1", policy_path).step_model
     assert model.limits == NARROW
     assert (model.foot_margin_m, model.body_margin_m) == (0.017, 0.093)
@@ -77,11 +77,11 @@ def test_measured_limits_and_margins_are_what_planning_uses(policy_path):
 
 
 def test_without_measurements_or_with_those_of_other_weights_the_robot_stays_as_it_is(policy_path):
-    assert as_measured(ROBOT, policy_path) is ROBOT
-    text = to_text(measured(policy_path, policy_sha256="0" * 64))
-    measured_path(policy_path, ROBOT).write_text(text)
-    assert as_measured(ROBOT, policy_path) is ROBOT
-    assert load_measured(ROBOT, policy_path.with_name("none.safetensors")) is None
+    assert with_tracking_limits(ROBOT, policy_path) is ROBOT
+    text = tracking_limits_text(measured(policy_path, policy_sha256="0" * 64))
+    tracking_limits_path(policy_path, ROBOT).write_text(text)
+    assert with_tracking_limits(ROBOT, policy_path) is ROBOT
+    assert load_tracking_limits(ROBOT, policy_path.with_name("none.safetensors")) is None
 
 
 @pytest.mark.parametrize(
@@ -93,29 +93,31 @@ def test_without_measurements_or_with_those_of_other_weights_the_robot_stays_as_
     ],
 )
 def test_measurements_that_cannot_be_used_say_so(policy_path, change, words):
-    measured_path(policy_path, ROBOT).write_text(to_text(measured(policy_path, **change)))
+    tracking_limits_path(policy_path, ROBOT).write_text(
+        tracking_limits_text(measured(policy_path, **change))
+    )
     with pytest.raises(PolicyError, match=words):
-        as_measured(ROBOT, policy_path)
+        with_tracking_limits(ROBOT, policy_path)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "other/1", "limits": {}}'])
 def test_damaged_measurements_say_what_to_do(policy_path, text):
-    measured_path(policy_path, ROBOT).write_text(text)
+    tracking_limits_path(policy_path, ROBOT).write_text(text)
     with pytest.raises(PolicyError, match="evaluate the policy again"):
-        as_measured(ROBOT, policy_path)
+        with_tracking_limits(ROBOT, policy_path)
 
 
 @pytest.mark.parametrize("name", robot_names())
 def test_what_ships_beside_a_policy_can_be_planned_with(name):
-    model = as_measured(get_robot(name)).step_model
+    model = with_tracking_limits(get_robot(name)).step_model
     assert model.limits.contain((0.0, model.stance_width_m, 0.0))
     assert len(model.steps) >= 5
 
 
-def trial(limits, success, corner) -> Trial:
+def trial(limits, success, corner) -> LimitTrial:
     fell = np.zeros(8)
     fell[corner] = 3
-    return Trial(limits=limits, success=success, walked=np.full(8, 10), fell=fell)
+    return LimitTrial(limits=limits, success=success, walked=np.full(8, 10), fell=fell)
 
 
 def test_a_corner_is_cut_where_planning_loses_least():
@@ -123,7 +125,7 @@ def test_a_corner_is_cut_where_planning_loses_least():
     steps = ((-0.1, 0.2, 0.0), (0.1, 0.3, 0.0))
     model = replace(ROBOT.step_model, limits=NARROW, steps=steps)
     tight = replace(NARROW, y_m=(0.17, 0.3))
-    corners = corners_of(tight)
+    corners = limit_corners(tight)
     assert corners[0].tolist() == [-0.1, 0.17, -0.16]
     assert corners[3].tolist() == [-0.1, 0.3, 0.2]
     # Of y low (1 of 13 cm) and yaw low (0.03 of 0.36 rad) the first loses the smaller part.
@@ -163,7 +165,7 @@ def test_walks_within_limits_begin_on_corners(monkeypatch):
         for row in range(count):
             drawn[row], counting = draw(rng, 12, row)
             assert counting.all()
-        corner = corners_of(NARROW)[2]
+        corner = limit_corners(NARROW)[2]
         fell = [np.isclose(drawn[row][:2], corner).all(axis=1).any() for row in range(count)]
         return StepWalks(
             upright=~np.array(fell),
@@ -173,7 +175,7 @@ def test_walks_within_limits_begin_on_corners(monkeypatch):
         )
 
     monkeypatch.setattr(step_region, "walk_steps", walk_steps)
-    impossible = corners_of(NARROW)[7]
+    impossible = limit_corners(NARROW)[7]
     _, found = step_region.walk_within(
         ROBOT,
         cast(Policy, None),  # nobody walks
@@ -184,7 +186,7 @@ def test_walks_within_limits_begin_on_corners(monkeypatch):
     )
     steps = np.array(list(drawn.values()))
     first = {tuple(step) for step in steps[:, :2].reshape(-1, 3)}
-    assert first == {tuple(corner) for corner in corners_of(NARROW)[:7]}
+    assert first == {tuple(corner) for corner in limit_corners(NARROW)[:7]}
     assert NARROW.contain(steps).all()
     later = steps[:, 2:].reshape(-1, 3)
     usual = {step for step in ROBOT.step_model.steps if NARROW.contain(step)}
@@ -198,7 +200,7 @@ def test_walks_within_limits_begin_on_corners(monkeypatch):
 
 def test_the_grid_of_steps_goes_through_stepping_in_place():
     model = ROBOT.training_model
-    kinds = kinds_over(model.limits, 0.20, lambda steps: allowed(steps, model))
+    kinds = step_grid(model.limits, 0.20, lambda steps: allowed(steps, model))
     assert model.limits.contain(kinds).all()
     for step in ((0.0, 0.20, 0.0), (0.35, 0.34, 0.4), (-0.2, 0.2, 0.0)):
         assert np.isclose(kinds, step).all(axis=1).any()
@@ -219,7 +221,7 @@ def test_extents_of_shapes_by_hand():
 
 def test_reach_is_measured_from_the_nearer_stance():
     scene = build_scene(ROBOT, timestep_s=0.001)
-    reach = Reach(scene, ROBOT.step_model.body)
+    reach = BodySway(scene, ROBOT.step_model.body)
     feet = scene.soles_at(scene.standing_qpos)
     assert "head" in reach.names
     assert "left_foot" not in reach.names

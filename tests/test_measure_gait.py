@@ -13,12 +13,12 @@ from controller.evaluation.gait_metrics import (
     cost_of_transport,
     distance_m,
     duration_s,
+    gait_cycle_curves,
     joint_loads,
     mechanical_work_j,
-    over_cycle,
     peak_weights,
     posture,
-    repeated,
+    repeat_step,
     swing_lags,
 )
 from controller.evaluation.push_recovery import DIRECTIONS, Push
@@ -113,7 +113,7 @@ def test_values_are_gathered_by_phase():
     values[0, 0:2] = 99.0  # standing: does not count
     values[0, 2:6, 0], values[0, 10:14, 0] = 10.0, 20.0
     values[0, 2:, 1] = 7.0
-    cycle = over_cycle(record(9, 2, cycle_tick=phase), values, ticks, bins=2)
+    cycle = gait_cycle_curves(record(9, 2, cycle_tick=phase), values, ticks, bins=2)
     assert cycle.mean.tolist() == [[15.0, 7.0], [0.0, 7.0]]
     assert cycle.low[0, 0] == pytest.approx(10.5)
     assert cycle.high[0, 0] == pytest.approx(19.5)
@@ -161,8 +161,8 @@ def test_steady_walks_begin_and_end_at_the_same_moment_of_the_gait():
 
 
 def test_feet_take_turns_where_a_walk_leads_sideways():
-    assert repeated((0.3, 0.2, 0.0), 0.2, 2).tolist() == [[0.3, 0.2, 0.0]] * 2
-    assert repeated((0.0, 0.3, 0.0), 0.2, 3).tolist() == [
+    assert repeat_step((0.3, 0.2, 0.0), 0.2, 2).tolist() == [[0.3, 0.2, 0.0]] * 2
+    assert repeat_step((0.0, 0.3, 0.0), 0.2, 3).tolist() == [
         [0.0, 0.3, 0.0],
         [0.0, 0.2, 0.0],
         [0.0, 0.3, 0.0],

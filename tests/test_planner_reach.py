@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import shapely
 
-from controller.step_sequences import MODES, draw_sequence, kept_within
-from controller.tracking_limits import Measured, limits_from, planning_model
+from controller.step_sequences import MODES, clip_to_limits, draw_sequence
+from controller.tracking_limits import TrackingLimits, limits_from, planning_model
 from planner.corpus.check import from_document
 from planner.options import PlannerOptions
 from planner.planner import Planner, plan_footsteps
@@ -264,8 +264,8 @@ def test_steps_are_drawn_in_toward_the_stance():
     steps = np.array([[0.3, 0.4, 0.5], [0.2, 0.2, -0.9], [0.5, 0.2, 0.0]])
     # From (0, 0.2) toward (0.3, 0.4) the edge x + y = 0.5 is met after 0.6 of the way.
     expected = [[0.18, 0.32, 0.5], [0.2, 0.2, -0.4], [0.3, 0.2, 0.0]]
-    np.testing.assert_allclose(kept_within(steps, limits(CUT), 0.2), expected, atol=1e-12)
-    assert kept_within(steps, limits(), 0.2)[0].tolist() == [0.3, 0.4, 0.5]
+    np.testing.assert_allclose(clip_to_limits(steps, limits(CUT), 0.2), expected, atol=1e-12)
+    assert clip_to_limits(steps, limits(), 0.2)[0].tolist() == [0.3, 0.4, 0.5]
 
 
 def test_a_corpus_says_the_polygon_of_its_robot():
@@ -279,7 +279,7 @@ def test_the_polygon_outlives_measured_limits():
     narrow = {"x_m": [-0.1, 0.25], "y_m": [0.14, 0.35], "yaw_rad": [-0.3, 0.8]}
 
     def measured(found):
-        return Measured(
+        return TrackingLimits(
             robot="small", policy_sha256="", limits=found, foot_margin_m=0.0, body_margin_m=0.0
         )
 

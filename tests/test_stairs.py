@@ -31,7 +31,7 @@ STRAIGHT = [mode for mode in STAIR_MODES if mode != "stairs_curved"]
 
 @functools.cache
 def flights(name, mode, count=40, error_m=0.0):
-    """So many flights of a robot: pairs of track and ground."""
+    """So many flights of a robot: pairs of sequence and ground."""
     model = get_robot(name).training_model
     feet = feet_at(START, model.stance_width_m)
     rng = np.random.default_rng(7)

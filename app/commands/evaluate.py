@@ -28,7 +28,7 @@ from app.output import (
     write_text,
 )
 from controller.policy import PolicyError, load_policy
-from controller.tracking_limits import Measured, measured_path, to_text
+from controller.tracking_limits import TrackingLimits, tracking_limits_path, tracking_limits_text
 
 if TYPE_CHECKING:
     from app.evaluation.parts import EvaluationSetup, Part, ResultCache, Results
@@ -143,17 +143,17 @@ def _measure(
 
 
 def _store(
-    options: EvaluateOptions, bench: EvaluationSetup, measured: Measured | None
+    options: EvaluateOptions, bench: EvaluationSetup, measured: TrackingLimits | None
 ) -> str | None:
     """Put what planning is to know beside the weights; gives the file, or None if it is not put."""
     if measured is None or "limits" not in options.sections:
         return None
-    path = measured_path(options.policy, bench.robot)
+    path = tracking_limits_path(options.policy, bench.robot)
     if bench.episodes < ENOUGH_EPISODES:
         say(f"{bench.episodes} episodes are too few to tell 99 %: {path} is left as it is")
         return None
     try:
-        write_text(path, to_text(measured))
+        write_text(path, tracking_limits_text(measured))
     except InputError as error:
         say(f"what planning is to know of this policy is not stored beside it: {error}")
         return None

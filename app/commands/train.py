@@ -25,7 +25,7 @@ from planner.corpus.corpus import Corpus, CorpusError
 from sim.robot import Robot
 
 if TYPE_CHECKING:
-    from controller.runner import Report
+    from controller.runner import SegmentReport
     from controller.step_sequences import PlannedSteps
 
 
@@ -200,7 +200,7 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
         return PlannedSteps.of(Corpus.load(folder), robot.name, robot.training_model)
 
 
-def progress_line(report: Report) -> str:
+def progress_line(report: SegmentReport) -> str:
     """One line on a finished segment."""
     result = report.result.summary
     stairs = ""

@@ -19,31 +19,31 @@ from controller.evaluation.gait_metrics import (
     cost_of_transport,
     distance_m,
     duration_s,
+    gait_cycle_curves,
     in_contact,
     joint_loads,
     mechanical_work_j,
-    over_cycle,
     peak_weights,
     posture,
     record_walk,
     swing_lags,
 )
 from controller.evaluation.push_recovery import DIRECTIONS, PUSH_WALK_S, push_recovery
-from controller.evaluation.rollouts import AT_ONCE, portions, set_off, walk
+from controller.evaluation.rollouts import AT_ONCE, portions, start_walks, walk
 from controller.evaluation.step_limits import (
     LIMITS_WALK_S,
-    Reach,
+    BodySway,
+    LimitTrial,
     StepWalks,
-    Trial,
-    kinds_over,
     search_limits,
+    step_grid,
     step_map,
     walk_within,
 )
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.step_cursor import StepSequence
-from controller.step_sequences import MODES, draw_sequence, kept_within
-from controller.tracking_limits import Measured, limits_from, planning_model
+from controller.step_sequences import MODES, clip_to_limits, draw_sequence
+from controller.tracking_limits import TrackingLimits, limits_from, planning_model
 from maps.grid import OccupancyGrid
 from planner.lattice.steps import allowed
 from planner.options import PlannerOptions
@@ -166,7 +166,7 @@ def long_parts(bench: EvaluationSetup) -> list[Part]:
     def measure(results: Results) -> dict[str, Any]:
         survived: list[int] = []
         for rows, seed in portions(count, bench.seed):
-            walker = set_off(
+            walker = start_walks(
                 bench.robot,
                 draw,
                 count=len(rows),
@@ -215,7 +215,9 @@ def gait_parts(bench: EvaluationSetup) -> list[Part]:
         standing_m = robot.pelvis_height_m
         lift_s, touch_s = swing_lags(steady, robot.mass_kg, ticks)
         curves = {"force": weights, "contact": contact, "indicator": asked}
-        cycles = {k: over_cycle(steady, v, ticks, bins=CYCLE_BINS) for k, v in curves.items()}
+        cycles = {
+            k: gait_cycle_curves(steady, v, ticks, bins=CYCLE_BINS) for k, v in curves.items()
+        }
         return {
             **head,
             "joints": joint_loads(whole, robot),
@@ -285,7 +287,7 @@ def _walks_to_weigh(bench: EvaluationSetup) -> list[tuple[str, Step]]:
     ahead_m, back_m = limits.most_x_m(width_m), limits.most_x_m(width_m, backward=True)
     forward = [("forward", (s * ahead_m, width_m, 0.0)) for s in (0.25, 0.5, 0.75, 1.0)]
     backward = [("backward", (s * back_m, width_m, 0.0)) for s in (0.5, 1.0)]
-    widest = kept_within(np.array([[0.0, limits.y_m[1], 0.0]]), limits, width_m)[0]
+    widest = clip_to_limits(np.array([[0.0, limits.y_m[1], 0.0]]), limits, width_m)[0]
     return [*forward, *backward, ("sideways", (0.0, float(widest[1]), 0.0))]
 
 
@@ -340,9 +342,7 @@ def limits_parts(bench: EvaluationSetup) -> list[Part]:
     """A map of all kinds of steps, limits within which all succeed, and margins within those."""
     robot = bench.robot
     trained = replace(robot.step_model, limits=robot.training_model.limits)
-    kinds = kinds_over(
-        trained.limits, trained.stance_width_m, lambda steps: allowed(steps, trained)
-    )
+    kinds = step_grid(trained.limits, trained.stance_width_m, lambda steps: allowed(steps, trained))
     each, planned = bench.share(40), min(bench.share(8), 125)
 
     def measure_map(results: Results) -> dict[str, Any]:
@@ -354,7 +354,7 @@ def limits_parts(bench: EvaluationSetup) -> list[Part]:
     def measure_region(results: Results) -> dict[str, Any]:
         latest: list[StepWalks] = []
 
-        def walk_limits(limits: StepLimits) -> Trial:
+        def walk_limits(limits: StepLimits) -> LimitTrial:
             walks, trial = _walk_within(bench, limits)
             latest[:] = [walks]
             return trial
@@ -393,7 +393,7 @@ def limits_parts(bench: EvaluationSetup) -> list[Part]:
     ]
 
 
-def _walk_within(bench: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, Trial]:
+def _walk_within(bench: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, LimitTrial]:
     stated = bench.robot.step_model
     steps = tuple(step for step in stated.steps if limits.contain(step))
     model = replace(stated, limits=limits, steps=steps)
@@ -425,7 +425,7 @@ def _sway_m(
     """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
     from planner.planner import Planner  # the compiled search takes a second to load
 
-    provisional = Measured(
+    provisional = TrackingLimits(
         robot=bench.robot.name,
         policy_sha256="",
         limits=limits,
@@ -447,8 +447,8 @@ def _sway_m(
         plan = planner.plan(goal=goal.tolist(), start_feet_world=feet, first_side=None)
         return StepSequence.of(feet, plan.side.astype(np.int64), plan.pose_world)
 
-    walker = set_off(bench.robot, draw, count=count, seed=bench.seed, threads=bench.threads)
-    reach = Reach(walker.scene, model.body)
+    walker = start_walks(bench.robot, draw, count=count, seed=bench.seed, threads=bench.threads)
+    reach = BodySway(walker.scene, model.body)
     beyond = []
     stances = walker.cursor.stances
     for tick in walk(walker, bench.policy, round(PLANNED_S / CONTROL_PERIOD_S)):
@@ -462,7 +462,7 @@ def _sway_m(
     return [(reach.names[k], float(p99[k]), float(most[k])) for k in order]
 
 
-def measured_of(bench: EvaluationSetup, results: Results) -> Measured | None:
+def measured_of(bench: EvaluationSetup, results: Results) -> TrackingLimits | None:
     """What planning is to know; None where it was not measured or the policy is not up to it."""
     needed = ("limits-region", "limits-sway")
     if any(name not in results for name in needed):
@@ -474,7 +474,7 @@ def measured_of(bench: EvaluationSetup, results: Results) -> Measured | None:
     climb_m, stairs = _climb_m(bench, results)
     limits = limits_from(found["limits"])
     *_, (shape, (_, most_m)) = sway["body_beyond_box_m"].items()
-    return Measured(
+    return TrackingLimits(
         robot=bench.robot.name,
         policy_sha256=bench.policy.about["sha256"],
         limits=replace(limits, z_m=climb_m),

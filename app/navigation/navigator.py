@@ -17,7 +17,7 @@ from app.navigation.report import (
     installed_versions,
 )
 from controller.evaluation.gait_summary import GaitRecorder
-from controller.gait import CONTROL_PERIOD_S, steps_s
+from controller.gait import CONTROL_PERIOD_S, step_durations_s
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
 from controller.walker import Walker
@@ -292,7 +292,7 @@ class Navigator:
     def _paced(self, plan: FootstepPlan) -> FootstepPlan:
         """The plan with durations of its steps by the pace; normal ones are the gait's own."""
         shortest_s, longest_s = self.policy.step_range_s(self.robot)
-        step_s = steps_s(plan, self.robot.gait, self.config.pace, shortest_s, longest_s)
+        step_s = step_durations_s(plan, self.robot.gait, self.config.pace, shortest_s, longest_s)
         return plan if step_s is None else replace(plan, step_s=step_s)
 
     def _follow(self, plan: FootstepPlan, *, wait_ticks: int, walking: bool) -> None:

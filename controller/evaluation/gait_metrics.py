@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from controller.evaluation.gait_summary import CONTACT_WEIGHTS, GRAVITY_M_S2
-from controller.evaluation.rollouts import set_off, walk
+from controller.evaluation.rollouts import start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
@@ -30,7 +30,7 @@ class WalkRecord:
 
     torque_nm, joint_speed_rad_s (B, N, J): of the servos and of the joints they turn.
     ground_force_n (B, N, 2): vertical force on each foot, left then right.
-    indicator (B, T, 2), cycle_tick (B, T): as in `controller.evaluation.rollouts.Tick`.
+    indicator (B, T, 2), cycle_tick (B, T): as in `controller.evaluation.rollouts.ControlStep`.
     pelvis_xy_world (B, T, 2); pelvis_height_m (B, T): above the lower sole.
     sole_height_m (B, T, 2): above the floor; upright (B,): did not fall.
     """
@@ -95,11 +95,11 @@ def record_walk(
     steps = int(seconds / robot.gait.step_s) + 2
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
-        relative = repeated(step, robot.step_model.stance_width_m, steps)
+        relative = repeat_step(step, robot.step_model.stance_width_m, steps)
         side, poses = chain_steps(feet, Side(row % 2), relative)
         return StepSequence.of(feet, side, poses)
 
-    walker = set_off(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
+    walker = start_walks(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
     torque, speed, force, indicator, cycle_tick, pelvis, soles = [], [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
@@ -128,7 +128,7 @@ def record_walk(
     )
 
 
-def repeated(step: Step, stance_width_m: float, steps: int) -> np.ndarray:
+def repeat_step(step: Step, stance_width_m: float, steps: int) -> np.ndarray:
     """Steps (steps, 3) of a walk that goes on in one manner; see `record_walk`."""
     x_m, y_m, yaw_rad = step
     follows = (x_m, stance_width_m, 0.0) if y_m != stance_width_m or yaw_rad else step
@@ -159,7 +159,7 @@ def asymmetry(left: float, right: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cycle:
+class GaitCycleCurves:
     """A quantity of each foot over the gait cycle, which begins at the right foot's lift-off.
 
     time_s (n,): middles of the bins. mean, low, high (n, 2): left then right; low and high are
@@ -172,7 +172,9 @@ class Cycle:
     high: np.ndarray
 
 
-def over_cycle(record: WalkRecord, values: np.ndarray, ticks: GaitTicks, *, bins: int) -> Cycle:
+def gait_cycle_curves(
+    record: WalkRecord, values: np.ndarray, ticks: GaitTicks, *, bins: int
+) -> GaitCycleCurves:
     """Values (B, N, 2) at the physics rate, gathered by the phase of the gait.
 
     Each cycle counts once in a bin, with the mean of its values there; what lies outside whole
@@ -203,7 +205,7 @@ def over_cycle(record: WalkRecord, values: np.ndarray, ticks: GaitTicks, *, bins
                 curves[side, :, bin_] = there.mean(), *np.percentile(there, [5, 95])
     middles = (np.arange(bins) + 0.5) * 2 * ticks.step * CONTROL_PERIOD_S / bins
     mean, low, high = np.moveaxis(curves, 1, 0).swapaxes(1, 2)
-    return Cycle(time_s=middles, mean=mean, low=low, high=high)
+    return GaitCycleCurves(time_s=middles, mean=mean, low=low, high=high)
 
 
 def peak_weights(record: WalkRecord, mass_kg: float) -> list[float]:

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from controller.evaluation.rollouts import portions, set_off, walk
+from controller.evaluation.rollouts import portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
@@ -101,7 +101,7 @@ def _walk_pushed(
         side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
         return StepSequence.of(feet, side, poses)
 
-    walker = set_off(robot, draw, count=len(pushes), seed=seed, threads=threads)
+    walker = start_walks(robot, draw, count=len(pushes), seed=seed, threads=threads)
     still = (0.0, 0.0, 0.0)
     upright = np.ones(len(pushes), dtype=bool)
     for tick in walk(walker, policy, round(PUSH_WALK_S / CONTROL_PERIOD_S)):

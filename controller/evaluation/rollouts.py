@@ -25,11 +25,11 @@ LONGEST_WAIT_TICKS = 20
 _HELD_OUT = 20_220_712
 
 # Gives robot `row` its sequence; told the random generator, the row and where its feet are (2, 4).
-DrawTrack = Callable[[np.random.Generator, int, np.ndarray], StepSequence]
+DrawStepSequence = Callable[[np.random.Generator, int, np.ndarray], StepSequence]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tick:
+class ControlStep:
     """What one control step of B robots gave; arrays are (B, ...), left before right.
 
     Robots that have fallen are not `upright` from then on; they are set down anew and stand, so
@@ -46,9 +46,9 @@ class Tick:
     cycle_tick: np.ndarray  # control ticks since the right foot's lift-off, -1 while standing
 
 
-def set_off(
+def start_walks(
     robot: Robot,
-    draw: DrawTrack,
+    draw: DrawStepSequence,
     *,
     count: int,
     seed: int | np.random.SeedSequence,
@@ -69,7 +69,7 @@ def set_off(
     return walker
 
 
-def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[Tick]:
+def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[ControlStep]:
     """Let all walk for so many control steps; gives each step when it is done."""
     rows = np.arange(walker.sim.count)
     upright = np.ones(len(rows), dtype=bool)
@@ -79,9 +79,9 @@ def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[Tick]:
         cycle_tick = np.where(standing, -1, cursor.tick + cursor.ticks.step * (1 - side))
         asked, indicator = cursor.foot_targets[rows, side], cursor.support_indicator
         ended = walker.act(policy.act(walker.observe()))
-        down = upright & fallen(walker)
+        down = upright & walker.fallen()
         upright = upright & ~down
-        yield Tick(
+        yield ControlStep(
             number=number,
             upright=upright,
             landed=ended & upright,
@@ -93,16 +93,6 @@ def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[Tick]:
         )
         for row in np.flatnonzero(down):
             _set_down(walker, int(row))
-
-
-def fallen(walker: Walker) -> np.ndarray:
-    """Robots (B,) that are too low, whose legs touch, or whose simulation failed."""
-    sensors, latest = walker.scene.sensors, walker.sim.sensors[:, -1]
-    lower_sole_z = latest[:, sensors.sole_pos_world[:, 2]].min(axis=1)
-    height_m = latest[:, sensors.pelvis_pos_world[2]] - lower_sole_z
-    touching = walker.sim.sensors[:, :, sensors.legs_touching[0]].max(axis=1) > 0
-    # Written so that a height that is no number counts as a fall.
-    return walker.sim.failed | ~(height_m >= walker.robot.fallen_height_m) | touching
 
 
 def portions(count: int, seed: int) -> Iterator[tuple[range, np.random.SeedSequence]]:

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from controller.evaluation.rollouts import portions, set_off, walk
+from controller.evaluation.rollouts import portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.step_cursor import STANCE, StepSequence
-from controller.step_sequences import chain_steps, kept_within
+from controller.step_sequences import chain_steps, clip_to_limits
 from planner.plan import pair_pose
 from planner.robot_model import BodyShape, Side, StepLimits, StepModel
 from sim.robot import PHYSICS_GROUP, Robot
@@ -33,10 +33,10 @@ MOST_CUTS = 30
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
+class LimitTrial:
     """How walks within some limits went: `fell` (8,) of `walked` (8,) that touched each corner.
 
-    Corners are in the order of `corners_of`.
+    Corners are in the order of `limit_corners`.
     """
 
     limits: StepLimits
@@ -50,14 +50,18 @@ class Trial:
         return int(np.argmax(self.fell / np.maximum(self.walked, 1)))
 
 
-def corners_of(limits: StepLimits) -> np.ndarray:
+def limit_corners(limits: StepLimits) -> np.ndarray:
     """The corners (8, 3) of the limits; low before high, the last axis changes fastest."""
     return np.array(list(itertools.product(limits.x_m, limits.y_m, limits.yaw_rad)))
 
 
 def search_limits(
-    model: StepModel, widest: StepLimits, walk: Callable[[StepLimits], Trial], *, success: float
-) -> list[Trial]:
+    model: StepModel,
+    widest: StepLimits,
+    walk: Callable[[StepLimits], LimitTrial],
+    *,
+    success: float,
+) -> list[LimitTrial]:
     """All trials, the last with at least so much success unless nothing is left to cut.
 
     Args:
@@ -101,7 +105,7 @@ def cut_back(limits: StepLimits, corner: int, model: StepModel) -> StepLimits | 
 
 LIMITS_WALK_S = 10.0
 # Whether each step of (n, 3) is one that the feet can stand in.
-Possible = Callable[[np.ndarray], np.ndarray]
+IsFeasible = Callable[[np.ndarray], np.ndarray]
 # Gives steps (n, 3) of one walk, told how many and which robot's they are; and which of them count.
 DrawSteps = Callable[[np.random.Generator, int, int], tuple[np.ndarray, np.ndarray]]
 
@@ -159,7 +163,7 @@ def _walk_portion(
         side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
         return StepSequence.of(feet, side, poses)
 
-    walker = set_off(robot, draw, count=len(rows), seed=seed, threads=threads)
+    walker = start_walks(robot, draw, count=len(rows), seed=seed, threads=threads)
     upright = np.ones(len(rows), dtype=bool)
     who, error_m, heading = [], [], []
     for tick in walk(walker, policy, round(LIMITS_WALK_S / CONTROL_PERIOD_S)):
@@ -221,13 +225,13 @@ def walk_within(
     robot: Robot,
     policy: Policy,
     limits: StepLimits,
-    possible: Possible,
+    possible: IsFeasible,
     *,
     count: int,
     seed: int,
     threads: int = 1,
     falls_at_most: int | None = None,
-) -> tuple[StepWalks, Trial]:
+) -> tuple[StepWalks, LimitTrial]:
     """Walks within limits, and how they went at each corner of these.
 
     They begin with two steps on corners, which are hardest, and which plans touch where they join
@@ -235,7 +239,7 @@ def walk_within(
     They go on with steps anywhere within the limits or, half
     of them, of the planner's set.
     """
-    corners = kept_within(corners_of(limits), limits, robot.step_model.stance_width_m)
+    corners = clip_to_limits(limit_corners(limits), limits, robot.step_model.stance_width_m)
     usable = np.flatnonzero(possible(corners))
     among = np.array([step for step in robot.step_model.steps if limits.contain(step)])
     low, high = np.array([limits.x_m, limits.y_m, limits.yaw_rad]).T
@@ -266,7 +270,7 @@ def walk_within(
         falls_at_most=falls_at_most,
     )
     done = touched[: len(walks.upright)]
-    return walks, Trial(
+    return walks, LimitTrial(
         limits=limits,
         success=float(walks.upright.mean()),
         walked=done.sum(axis=0),
@@ -274,7 +278,7 @@ def walk_within(
     )
 
 
-def kinds_over(limits: StepLimits, stance_width_m: float, possible: Possible) -> np.ndarray:
+def step_grid(limits: StepLimits, stance_width_m: float, possible: IsFeasible) -> np.ndarray:
     """Steps (K, 3) on a grid over the limits that passes through stepping in place."""
 
     def axis(ends: tuple[float, float], middle: float, below: int, above: int) -> np.ndarray:
@@ -300,7 +304,7 @@ def kinds_over(limits: StepLimits, stance_width_m: float, possible: Possible) ->
 FEET = ("left_foot", "right_foot")
 
 
-class Reach:
+class BodySway:
     """Measures the reach of every collision shape above the feet, robot by robot."""
 
     def __init__(self, scene: Scene, body: BodyShape):
