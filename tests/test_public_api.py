@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import runpy
 import subprocess
 import sys
@@ -153,6 +154,16 @@ def test_the_notebook_runs(monkeypatch, tmp_path):
     for cell in cells:
         exec(compile(cell, "tour.ipynb", "exec"), names)
     assert str(names["walk"]).startswith("Navigator(jvrc1: reached")
+
+
+def test_the_readme_s_python_runs_from_an_empty_folder(tmp_path, monkeypatch, capsys):
+    (source,) = re.findall(
+        r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S
+    )
+    monkeypatch.chdir(tmp_path)
+    exec(compile(source, "README.md", "exec"), {})
+    assert cv2.imread("plan.png") is not None
+    assert "NavigationReport(reached" in capsys.readouterr().out
 
 
 def test_the_console_script_is_the_command_line(monkeypatch, capsys):
