@@ -12,12 +12,12 @@ import pytest
 from app.cli import main
 from app.commands import evaluate
 from app.commands.evaluate import SECTION_NAMES, EvaluateOptions
-from app.evaluation import sections as evaluate_limits
-from app.evaluation import sections as evaluate_modes
+from app.evaluation import limits, sections
 from app.evaluation.figures import FIGURES, write_figures
+from app.evaluation.limits import measured_of, sole_errors_m
 from app.evaluation.parts import EvaluationSetup, finite
 from app.evaluation.report_text import plain_joint, read_beside, report, table
-from app.evaluation.sections import SECTIONS, measured_of, mode_row, sole_errors_m
+from app.evaluation.sections import SECTIONS, mode_row
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
 from controller.policy import POLICY_FOLDER, load_policy
@@ -80,10 +80,10 @@ def bench(episodes: int = 100) -> EvaluationSetup:
 @pytest.mark.slow
 def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     few = [(0.0, 0.2, 0.0), (0.3, 0.2, 0.0), (0.0, 0.2, 0.3)]
-    monkeypatch.setattr(evaluate_limits, "step_grid", lambda *_: np.array(few))
-    monkeypatch.setattr(evaluate_modes, "TREAD_NOISE_M", (0.03,))
-    monkeypatch.setattr(evaluate_modes, "JOINT_NOISE_DEG", (3.0,))
-    monkeypatch.setattr(evaluate_modes, "LONG_WALK_S", 5.0)
+    monkeypatch.setattr(limits, "step_grid", lambda *_: np.array(few))
+    monkeypatch.setattr(sections, "TREAD_NOISE_M", (0.03,))
+    monkeypatch.setattr(sections, "JOINT_NOISE_DEG", (3.0,))
+    monkeypatch.setattr(sections, "LONG_WALK_S", 5.0)
     stored = tracking_limits_path(None, ROBOT)
     before = stored.read_bytes() if stored.exists() else None
     assert main([*WORDS, "--json", "--out", str(tmp_path)]) == 0
@@ -119,7 +119,7 @@ def test_a_run_that_is_cut_off_goes_on_where_it_was(tmp_path, capsys, monkeypatc
             raise KeyboardInterrupt
         return made_up(mode or "mixed")
 
-    monkeypatch.setattr(evaluate_modes, "assess_mode", assess)
+    monkeypatch.setattr(sections, "assess_mode", assess)
     assert main(words) == 130
     assert capsys.readouterr().err.splitlines()[-1] == "interrupted"
     rows = json.loads((tmp_path / "evaluation.json").read_text())["modes"]

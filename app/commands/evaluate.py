@@ -85,9 +85,10 @@ ENOUGH_EPISODES = 100
 
 def run(options: EvaluateOptions) -> int:
     """Carries the command out; returns the exit code."""
+    from app.evaluation.limits import measured_of
     from app.evaluation.parts import EvaluationSetup, ResultCache
     from app.evaluation.report_text import read_beside, report
-    from app.evaluation.sections import SECTIONS, measured_of
+    from app.evaluation.sections import SECTIONS
 
     robot = find_robot(options.robot)
     with as_bad_input(PolicyError):
@@ -164,7 +165,8 @@ def document_of(
     bench: EvaluationSetup, parts: Sequence[Part], results: Results, stored: str | None
 ) -> dict[str, Any]:
     """evaluation.json: what is known of each section; of those not measured there is nothing."""
-    from app.evaluation.sections import SECTIONS, measured_of
+    from app.evaluation.limits import measured_of
+    from app.evaluation.sections import SECTIONS
 
     document: dict[str, Any] = {
         "format": FORMAT,

@@ -6,7 +6,7 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -214,6 +214,7 @@ def walk_one(course: TrialSettings, trial: Trial) -> dict[str, Any]:
         "replans": report.replans,
         "foot_errors_m": [round(placed.error_m, 4) for placed in navigator.placed],
         "min_clearance_m": navigator.min_clearance_m,
+        "gait": None if report.gait is None else asdict(report.gait),
         "planning_time_s": report.planning_time_s,
         "sim_time_s": report.sim_time_s,
     }
@@ -235,8 +236,25 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "goal_error_m": _percentiles(goals),
         "min_clearance_m": min(clearances, default=None),
         "planning_time_s": _percentiles(first_plans),
+        "gait": _gait(results),
         "sim_time_s": sum(result["sim_time_s"] for result in results),
     }
+
+
+def _gait(results: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
+    """Medians over the walks of what their gait was like; None where nobody walked far enough."""
+    gaits = [result["gait"] for result in results if result["gait"] is not None]
+    if not gaits:
+        return None
+    values = {
+        "pelvis_height_m": [gait["pelvis_height_m"]["median"] for gait in gaits],
+        "pelvis_bob_m": [gait["pelvis_bob_m"] for gait in gaits],
+        "swing_apex_m": [gait["swing_apex_m"]["median"] for gait in gaits],
+        "peak_force_weights": [gait["peak_force_weights"] for gait in gaits],
+        "cost_of_transport": [gait["cost_of_transport"] for gait in gaits],
+        "speed_m_s": [gait["speed_m_s"] for gait in gaits],
+    }
+    return {name: float(np.median(of_walks)) for name, of_walks in values.items()}
 
 
 def table(summary: Mapping[str, Any]) -> str:
@@ -255,6 +273,16 @@ def table(summary: Mapping[str, Any]) -> str:
             rows.append(f"{title:<24}{shown}")
     if summary["min_clearance_m"] is not None:
         rows.append(f"{'least clearance':<24}{100 * summary['min_clearance_m']:.1f} cm")
+    if summary["gait"] is not None:
+        rows.append(
+            "{:<24}pelvis {pelvis_height_m:.2f} m, bob {bob:.1f} cm, feet lifted {apex:.1f} cm, "
+            "cost of transport {cost_of_transport:.2f} at {speed_m_s:.2f} m/s".format(
+                "gait (medians)",
+                bob=100 * summary["gait"]["pelvis_bob_m"],
+                apex=100 * summary["gait"]["swing_apex_m"],
+                **summary["gait"],
+            )
+        )
     return "\n".join(rows)
 
 

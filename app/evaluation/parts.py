@@ -119,3 +119,13 @@ JOINT_NOISE_WITHSTOOD_DEG = 3.0
 
 # The text on the step reward: a step counts as hit when either foot is this near.
 HIT_RADIUS_M = 0.20
+
+# Its measured peaks of HRP-5P, walking: torque in N m, speed in rad/s, left / right leg.
+PAPER_PEAKS: Mapping[str, tuple[tuple[float, float], tuple[float, float]]] = {
+    "hip yaw": ((17.1, 24.1), (0.37, 1.18)),
+    "hip roll": ((55.0, 60.6), (0.39, 0.72)),
+    "hip pitch": ((84.4, 97.9), (1.57, 1.50)),
+    "knee": ((76.3, 39.8), (2.00, 1.51)),
+    "ankle pitch": ((23.9, 9.45), (1.25, 1.14)),
+    "ankle roll": ((11.3, 10.2), (0.57, 0.62)),
+}

@@ -12,6 +12,7 @@ from typing import Any
 from app.evaluation.parts import (
     HIT_RADIUS_M,
     JOINT_NOISE_WITHSTOOD_DEG,
+    PAPER_PEAKS,
     TITLE,
     TREAD_NOISE_WITHSTOOD_M,
 )
@@ -286,7 +287,7 @@ def _gait(document: Document) -> list[str]:
         *("peak speed left / right, rad/s", "limit", "left and right differ by"),
     )
     lines += ["", *table(titles, rows), ""]
-    lines.append(_paper_peaks(document["robot"]))
+    lines += _paper_peaks(document["robot"], joints)
     lines += [
         "The last column compares the root mean square torques.",
         "",
@@ -313,10 +314,29 @@ def _gait(document: Document) -> list[str]:
     return lines
 
 
-def _paper_peaks(robot: str) -> str:
+def _paper_peaks(robot: str, joints: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The paper's measured peaks of HRP-5P beside ours: how many times its greater leg's."""
     if robot != "hrp5p":
-        return f"{TITLE} lists peak loads of HRP-5P only."
-    return f"The limits are those of {TITLE}; its own measured peaks were not at hand."
+        return [f"{TITLE} lists peak loads of HRP-5P only."]
+    half, rows = len(joints) // 2, []
+    for left, right in zip(joints[:half], joints[half:], strict=True):
+        torques_nm, speeds_rad_s = PAPER_PEAKS[plain_joint(left["joint"])]
+        ours_nm = max(left["peak_torque_nm"], right["peak_torque_nm"])
+        ours_rad_s = max(left["peak_speed_rad_s"], right["peak_speed_rad_s"])
+        rows.append(
+            (
+                plain_joint(left["joint"]),
+                "{:g} / {:g}".format(*torques_nm),
+                f"{ours_nm / max(torques_nm):.1f}",
+                "{:g} / {:g}".format(*speeds_rad_s),
+                f"{ours_rad_s / max(speeds_rad_s):.1f}",
+            )
+        )
+    titles = (
+        *("joint", f"peak torque in {TITLE}, left / right, N m", "ours over its greater"),
+        *("peak speed there, rad/s", "ours over its greater"),
+    )
+    return [*table(titles, rows), "", f"The limits above are those of {TITLE} too."]
 
 
 def _push(document: Document) -> list[str]:

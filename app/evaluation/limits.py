@@ -1,0 +1,233 @@
+"""What planning should know of its policy: step limits, margins of foot and body, rises.
+
+The limits are a box of steps cut back until the walks within it succeed; the margins are measured
+on walks within those limits.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from app.evaluation.parts import EvaluationSetup, Part, Results
+from controller.evaluation.rollouts import start_walks, walk
+from controller.evaluation.step_limits import (
+    LIMITS_WALK_S,
+    BodySway,
+    LimitTrial,
+    StepWalks,
+    search_limits,
+    step_grid,
+    step_map,
+    walk_within,
+)
+from controller.gait import CONTROL_PERIOD_S
+from controller.step_cursor import StepSequence
+from controller.tracking_limits import TrackingLimits, limits_from, planning_model
+from maps.grid import OccupancyGrid
+from planner.lattice.steps import allowed
+from planner.options import PlannerOptions
+from planner.robot_model import FootShape, StepLimits
+
+# What planning should know of its follower: step limits, margins of foot and body, rises.
+#
+# The limits are a box of steps cut back until the walks within it succeed; the margins are measured
+# on walks within those limits.
+
+SUCCESS = 0.99
+# An episode on stairs climbs more steps than most flights have.
+STAIRS_SUCCESS = 0.98
+PLANNED_S = 16.0
+REACH_EVERY_TICKS = 2
+FLOOR_HALF_M = 4.0
+GOAL_WITHIN_M = 1.5
+
+
+def limits_parts(bench: EvaluationSetup) -> list[Part]:
+    """A map of all kinds of steps, limits within which all succeed, and margins within those."""
+    robot = bench.robot
+    trained = replace(robot.step_model, limits=robot.training_model.limits)
+    kinds = step_grid(trained.limits, trained.stance_width_m, lambda steps: allowed(steps, trained))
+    each, planned = bench.share(40), min(bench.share(8), 125)
+
+    def measure_map(results: Results) -> dict[str, Any]:
+        cells = step_map(
+            robot, bench.policy, kinds, count=each, seed=bench.seed, threads=bench.threads
+        )
+        return {"walks_each": each, "kinds": cells}
+
+    def measure_region(results: Results) -> dict[str, Any]:
+        latest: list[StepWalks] = []
+
+        def walk_limits(limits: StepLimits) -> LimitTrial:
+            walks, trial = _walk_within(bench, limits)
+            latest[:] = [walks]
+            return trial
+
+        trials = search_limits(trained, trained.limits, walk_limits, success=SUCCESS)
+        walks = latest[0]
+        errors = sole_errors_m(walks, robot.step_model.foot)
+        return {
+            "walks_each": len(walks.upright),
+            "tried": [{"limits": asdict(t.limits), "success": t.success} for t in trials],
+            "found": trials[-1].success >= SUCCESS,
+            "landings": len(errors),
+            "sole_error_m_p99": float(np.percentile(errors, 99)) if len(errors) else None,
+        }
+
+    def measure_sway(results: Results) -> dict[str, Any]:
+        region = results["limits-region"]
+        if not region["found"]:
+            return {"walks": 0, "body_beyond_box_m": {}}
+        limits = limits_from(region["tried"][-1]["limits"])
+        beyond = _sway_m(bench, limits, planned)
+        return {
+            "walks": planned,
+            "body_beyond_box_m": {name: [p99, most] for name, p99, most in beyond},
+        }
+
+    def part(name: str, walks: float, measure: Any, seconds: float = LIMITS_WALK_S) -> Part:
+        return Part(
+            section="limits", name=f"limits-{name}", robot_seconds=walks * seconds, measure=measure
+        )
+
+    return [
+        part("map", each * len(kinds), measure_map),
+        part("region", 3 * bench.episodes, measure_region),
+        part("sway", planned, measure_sway, PLANNED_S),
+    ]
+
+
+def _walk_within(bench: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, LimitTrial]:
+    stated = bench.robot.step_model
+    steps = tuple(step for step in stated.steps if limits.contain(step))
+    model = replace(stated, limits=limits, steps=steps)
+    return walk_within(
+        bench.robot,
+        bench.policy,
+        limits,
+        lambda steps: allowed(steps, model),
+        count=bench.episodes,
+        seed=bench.seed,
+        threads=bench.threads,
+        falls_at_most=math.floor((1 - SUCCESS) * bench.episodes + 1e-9),
+    )
+
+
+def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
+    """How far (N,) any point of a sole may have come down from its place.
+
+    A sole that is off by e and turned by a moves no point farther than e + r a, with r from its
+    centre to its corner.
+    """
+    corner_m = math.hypot(foot.length_m, foot.width_m) / 2
+    return np.asarray(walks.error_m + corner_m * walks.heading_error_rad)
+
+
+def _sway_m(
+    bench: EvaluationSetup, limits: StepLimits, count: int
+) -> list[tuple[str, float, float]]:
+    """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
+    from planner.planner import Planner  # the compiled search takes a second to load
+
+    provisional = TrackingLimits(
+        robot=bench.robot.name,
+        policy_sha256="",
+        limits=limits,
+        foot_margin_m=0.0,
+        body_margin_m=0.0,
+    )
+    model = planning_model(bench.robot.step_model, provisional)
+    cells = np.zeros((round(2 * FLOOR_HALF_M / 0.05),) * 2, np.uint8)
+    corner = (-FLOOR_HALF_M, -FLOOR_HALF_M, 0.0)
+    planner = Planner(
+        OccupancyGrid(cells=cells, resolution_m=0.05, origin=corner),
+        model,
+        PlannerOptions(refine=False),
+    )
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
+        far = GOAL_WITHIN_M
+        goal = rng.uniform((-far, -far, -math.pi), (far, far, math.pi))
+        plan = planner.plan(goal=goal.tolist(), start_feet_world=feet, first_side=None)
+        return StepSequence.of(feet, plan.side.astype(np.int64), plan.pose_world)
+
+    walker = start_walks(bench.robot, draw, count=count, seed=bench.seed, threads=bench.threads)
+    reach = BodySway(walker.scene, model.body)
+    beyond = []
+    stances = walker.cursor.stances
+    for tick in walk(walker, bench.policy, round(PLANNED_S / CONTROL_PERIOD_S)):
+        if tick.number % REACH_EVERY_TICKS == 0:
+            rows = np.flatnonzero(tick.upright)
+            beyond += [reach.beyond_m(walker.sim.qpos[row], stances[row]) for row in rows]
+        stances = walker.cursor.stances
+    found = np.array(beyond)
+    p99, most = np.percentile(found, 99, axis=0), found.max(axis=0)
+    order = np.argsort(most)
+    return [(reach.names[k], float(p99[k]), float(most[k])) for k in order]
+
+
+def measured_of(bench: EvaluationSetup, results: Results) -> TrackingLimits | None:
+    """What planning is to know; None where it was not measured or the policy is not up to it."""
+    needed = ("limits-region", "limits-sway")
+    if any(name not in results for name in needed):
+        return None
+    region, sway = (results[name] for name in needed)
+    if not region["found"] or region["sole_error_m_p99"] is None:
+        return None
+    found = region["tried"][-1]
+    climb_m, stairs = _climb_m(bench, results)
+    limits = limits_from(found["limits"])
+    *_, (shape, (_, most_m)) = sway["body_beyond_box_m"].items()
+    return TrackingLimits(
+        robot=bench.robot.name,
+        policy_sha256=bench.policy.about["sha256"],
+        limits=replace(limits, z_m=climb_m),
+        foot_margin_m=_millimetres_up(region["sole_error_m_p99"]),
+        body_margin_m=_millimetres_up(max(most_m, 0.0)),
+        evidence={
+            "episodes": bench.episodes,
+            "seed": bench.seed,
+            "success_within_limits": found["success"],
+            "landings": region["landings"],
+            "planned_walks": sway["walks"],
+            "widest_shape": shape,
+            "success_on_stairs": stairs,
+        },
+    )
+
+
+def _climb_m(
+    bench: EvaluationSetup, results: Results
+) -> tuple[tuple[float, float], dict[str, float]]:
+    """How far a step may fall and rise, and the successes that say so.
+
+    No farther than the robot's file states, nor than stairs were walked; as stated where stairs
+    were not measured.
+    """
+    stated = bench.robot.step_model.limits.z_m
+    rows = [row for name, row in results.items() if name.startswith("stairs-")]
+    plain = [row for row in rows if row["noise_kind"] == "none"]
+    if not plain:
+        return stated, {}
+    told = {f"{row['way']} {row['rise_m']:g} m": float(row["success"]) for row in plain}
+    level = StepLimits(x_m=(0, 0), y_m=(0, 0), yaw_rad=(0, 0)).z_m
+    most = {
+        way: max(
+            (row["rise_m"] for row in plain if row["way"] == way and _walked(row)),
+            default=level[1],
+        )
+        for way in ("up", "down")
+    }
+    return (max(stated[0], -most["down"]), min(stated[1], most["up"])), told
+
+
+def _walked(row: dict[str, Any]) -> bool:
+    return bool(row["success"] >= STAIRS_SUCCESS)
+
+
+def _millimetres_up(length_m: float) -> float:
+    return math.ceil(round(1000 * length_m, 6)) / 1000
