@@ -6,7 +6,7 @@
 The command `plan` runs twice and the second run is counted. With --click a page is served and a
 click on its floor is counted, from the click to the footprints of the plan: all threads of the
 server, and the planner, which answers the same question a second time in this process. A file
-counts if Python ran one of its functions; compiled functions do not show.
+counts if Python called one of its functions; what compiled functions call among them does not show.
 """
 
 from __future__ import annotations

@@ -224,6 +224,26 @@ def wrap_angle(angle_rad: ArrayLike) -> FloatArray:
     return wrapped
 
 
+def to_frame(poses: FloatArray, frame: ArrayLike) -> FloatArray:
+    """Poses (n, 3) x_m, y_m, yaw_rad as seen from a pose (3,)."""
+    x_m, y_m, yaw_rad = (float(v) for v in np.asarray(frame))
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    x, y = poses[:, 0] - x_m, poses[:, 1] - y_m
+    return np.column_stack(
+        [cos * x + sin * y, cos * y - sin * x, wrap_angle(poses[:, 2] - yaw_rad)]
+    )
+
+
+def from_frame(poses: FloatArray, frame: ArrayLike) -> FloatArray:
+    """Poses (n, 3) as `to_frame` gives them, in the frame that the pose (3,) is in."""
+    x_m, y_m, yaw_rad = (float(v) for v in np.asarray(frame))
+    cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
+    x, y = poses[:, 0], poses[:, 1]
+    return np.column_stack(
+        [x_m + cos * x - sin * y, y_m + sin * x + cos * y, wrap_angle(poses[:, 2] + yaw_rad)]
+    )
+
+
 def feet_at(pose: ArrayLike, stance_width_m: float) -> FloatArray:
     """Feet (2, 4) of a robot that stands at the pair pose (x_m, y_m, yaw_rad) on z = 0."""
     x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose, dtype=float))

@@ -16,7 +16,16 @@ from planner.endpoints import suggestion, what_blocks, what_obstructs
 from planner.heuristics.heuristic import tables_of
 from planner.lattice.lattice import Region, build_lattice
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
-from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, pair_pose, wrap_angle
+from planner.plan import (
+    FootstepPlan,
+    PlanStatus,
+    Pose,
+    feet_at,
+    from_frame,
+    pair_pose,
+    to_frame,
+    wrap_angle,
+)
 from planner.refinement.refine import refine
 from planner.robot_model import Side, StepModel
 from planner.search.ad_star import plan_adstar
@@ -224,7 +233,7 @@ class Planner:
     def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
         request = Request(
             context=self.goal_context(query.goal),
-            feet_lattice=_to_lattice(query.start_feet_world, query.goal),
+            feet_lattice=to_frame(query.start_feet_world[:, [0, 1, 3]], query.goal),
             feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
             stands=self._stands_too_near(query),
             first_side=query.first_side,
@@ -273,16 +282,7 @@ class Planner:
 
     def _poses_world(self, result: Result, goal: Pose) -> FloatArray:
         """Poses (N, 4) in the world; the last two are the feet of a pair pose to the bit."""
-        cos, sin = math.cos(goal[2]), math.sin(goal[2])
-        x, y, yaw = result.pose_lattice.T
-        poses = np.column_stack(
-            [
-                goal[0] + cos * x - sin * y,
-                goal[1] + sin * x + cos * y,
-                result.z_m,
-                wrap_angle(goal[2] + yaw),
-            ]
-        )
+        poses = np.insert(from_frame(result.pose_lattice, goal), 2, result.z_m, axis=1)
         end = pair_pose(poses[-2:])
         is_goal = np.abs([*(end[:2] - goal[:2]), wrap_angle(end[2] - goal[2])]).max() < _ROUNDING
         feet = self._feet_at(goal if is_goal else end)
@@ -310,10 +310,8 @@ def _in_world(record: SearchRecord | None, goal: Pose) -> SearchRecord | None:
     """The record with its expanded cells in the world."""
     if record is None:
         return None
-    cos, sin = math.cos(goal[2]), math.sin(goal[2])
-    x, y, states = record.expanded.T
-    x_m, y_m = goal[0] + cos * x - sin * y, goal[1] + sin * x + cos * y
-    return replace(record, expanded=np.column_stack([x_m, y_m, states]))
+    cells = from_frame(record.expanded * (1, 1, 0), goal)
+    return replace(record, expanded=np.column_stack([cells[:, :2], record.expanded[:, 2]]))
 
 
 def _finite(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> FloatArray:
@@ -326,19 +324,6 @@ def _finite(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floa
 def _pose(values: FloatArray) -> Pose:
     x_m, y_m, yaw_rad = (float(v) for v in values)
     return x_m, y_m, yaw_rad
-
-
-def _to_lattice(feet_world: FloatArray, goal: Pose) -> FloatArray:
-    """Feet (2, 3) as x_m, y_m, yaw_rad in the lattice frame of a goal."""
-    cos, sin = math.cos(goal[2]), math.sin(goal[2])
-    away = feet_world[:, :2] - np.array(goal[:2])
-    return np.column_stack(
-        [
-            cos * away[:, 0] + sin * away[:, 1],
-            cos * away[:, 1] - sin * away[:, 0],
-            wrap_angle(feet_world[:, 3] - goal[2]),
-        ]
-    )
 
 
 def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLike]) -> FootstepPlan:

@@ -21,6 +21,7 @@ def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1)
 
 
 FLOOR = walled(30, 40)
+LATTICE = PlannerOptions(refine=False)
 
 
 def scatter(rng: np.random.Generator, cells: np.ndarray, count: int, less_than: int) -> None:

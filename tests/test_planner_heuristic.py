@@ -10,8 +10,8 @@ import pytest
 
 from planner.heuristics.heuristic import estimate
 from planner.options import HEURISTICS, PlannerOptions
-from planner.plan import feet_at
-from planner.planner import Planner, _to_lattice, plan_footsteps
+from planner.plan import feet_at, to_frame
+from planner.planner import Planner, plan_footsteps
 from planner.search.first_plan import find_first_plan
 from planner.search.problem import Request, heuristic_to_start
 from tests.planner_floor import CASES
@@ -180,7 +180,7 @@ def request_of(grid, model, start, goal):
     feet = feet_at(start, model.stance_width_m)
     return Request(
         context=planner.goal_context(goal),
-        feet_lattice=_to_lattice(feet, goal),
+        feet_lattice=to_frame(feet[:, [0, 1, 3]], goal),
         feet_m=np.zeros(2),
         stands=False,
         first_side=None,

@@ -1,4 +1,4 @@
-"""When a search ends: no way at all, enough of improving, and what it may say of the bound then."""
+"""When a search ends without a plan or early: refusals, proofs that there is no way, limits."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from maps.grid import Cell, OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner, plan_footsteps
-from planner.robot_model import BodyShape
-from planner.search import ara_star as run
+from planner.robot_model import BodyShape, FootShape
+from planner.search import ara_star
 from planner.search.reachability import Verdict, expand_both, new_flood
 from planner.verify import violations
-from tests.planner_floor import scatter
+from tests.planner_floor import FLOOR, LATTICE, blocked_at, scatter
 from tests.planner_oracle import Oracle, small_model
 
 # A body that is longer than wide fits by its width, as the 2D search sees it, where it cannot turn.
@@ -45,8 +45,8 @@ BENT, IN_ROOM, ROUND_CORNER = bent_corridor(), (0.8, 0.8, 0.0), (2.25, 2.1, math
 @pytest.fixture
 def impatient(monkeypatch):
     """The floods take their turn from the first state on, in small bites."""
-    for name, value in (("_PATIENCE", 1), ("_TURN", 5), ("_FLOOD_TURN", 50)):
-        monkeypatch.setattr(run, name, value)
+    for name, value in (("FLOOD_AFTER", 1), ("SEARCH_TURN", 5), ("FLOOD_TURN", 50)):
+        monkeypatch.setattr(ara_star, name, value)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -56,7 +56,7 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
     compared = 0
     while compared < 4:
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
-        planner = Planner(grid, model, PlannerOptions(refine=False))
+        planner = Planner(grid, model, LATTICE)
         if planner.plan(start=start, goal=goal).status in BLOCKED:
             continue
         lattice = planner.goal_context(goal).lattice
@@ -83,9 +83,7 @@ def test_no_goal_is_given_up_that_can_be_reached(seed, impatient):
     grid, rng = random_floor(seed)
     for _ in range(6):
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
-        plan = plan_footsteps(
-            grid, LONG, start=start, goal=goal, options=PlannerOptions(refine=False)
-        )
+        plan = plan_footsteps(grid, LONG, start=start, goal=goal, options=LATTICE)
         if plan.status in (PlanStatus.FOUND, PlanStatus.NO_PATH):
             reachable = math.isfinite(Oracle(grid, LONG, goal).best_cost(start))
             assert plan.found == reachable
@@ -98,23 +96,17 @@ def test_no_goal_is_given_up_that_can_be_reached(seed, impatient):
 def test_a_corner_too_tight_to_turn_is_found_out_from_its_smaller_side(
     start, goal, side, impatient
 ):
-    plan = plan_footsteps(BENT, LONG, start=start, goal=goal, options=PlannerOptions(refine=False))
+    plan = plan_footsteps(BENT, LONG, start=start, goal=goal, options=LATTICE)
     assert plan.status is PlanStatus.NO_PATH
     assert side in plan.reason
     # A short body of the same width gets round the corner.
-    assert plan_footsteps(
-        BENT, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
-    ).found
+    assert plan_footsteps(BENT, small_model(), start=start, goal=goal, options=LATTICE).found
 
 
 def test_the_floods_cost_no_expansions_once_they_know(impatient, monkeypatch):
-    quick = plan_footsteps(
-        BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=PlannerOptions(refine=False)
-    )
-    monkeypatch.setattr(run, "_PATIENCE", 10**9)
-    slow = plan_footsteps(
-        BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=PlannerOptions(refine=False)
-    )
+    quick = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=LATTICE)
+    monkeypatch.setattr(ara_star, "FLOOD_AFTER", 10**9)
+    slow = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=LATTICE)
     assert slow.status is quick.status is PlanStatus.NO_PATH
     assert quick.expansions < slow.expansions / 2
 
@@ -165,9 +157,7 @@ def test_a_robot_on_its_feet_keeps_its_margin_unless_it_stands_too_near():
     goal, checked = (1.3, 2.2, math.pi / 2), 0
     for x_m, freely in ((1.05, True), (1.08, True), (1.02, False)):
         feet = feet_at((x_m, 0.8, math.pi / 2), model.stance_width_m)
-        plan = plan_footsteps(
-            grid, model, start_feet_world=feet, goal=goal, options=PlannerOptions(refine=False)
-        )
+        plan = plan_footsteps(grid, model, start_feet_world=feet, goal=goal, options=LATTICE)
         assert plan.found
         assert violations(plan, grid, model, stood_freely=freely) == []
         checked += 1
@@ -177,3 +167,116 @@ def test_a_robot_on_its_feet_keeps_its_margin_unless_it_stands_too_near():
 def test_a_negative_effort_is_refused():
     with pytest.raises(ValueError, match="improve_expansions -1"):
         PlannerOptions(improve_expansions=-1, refine=False)
+
+
+@pytest.mark.parametrize(
+    ("box", "what"),
+    [
+        # The pose is 2, 1.5 facing +x: the left foot is at 2, 1.6 and the right one at 2, 1.4.
+        ((16, 20, 17, 21), "the left foot at 2.00,1.60"),
+        ((13, 20, 14, 21), "the right foot at 2.00,1.40"),
+        ((16, 21, 17, 22), "the body at 2.00,1.50"),
+    ],
+)
+def test_a_blocked_goal_or_start_names_foot_or_body_and_a_free_pose(box, what):
+    grid, model = blocked_at(box), small_model(foot=FootShape(length_m=0.18, width_m=0.1))
+    here, there = (2.0, 1.5, 0.0), (0.8, 0.8, 0.0)
+    at_goal = plan_footsteps(grid, model, start=there, goal=here, options=LATTICE)
+    at_start = plan_footsteps(grid, model, start=here, goal=there, options=LATTICE)
+    for plan, status, name in (
+        (at_goal, PlanStatus.GOAL_BLOCKED, "goal"),
+        (at_start, PlanStatus.START_BLOCKED, "start"),
+    ):
+        assert plan.status is status
+        assert plan.reason.startswith(f"{name}: {what} would touch an obstacle")
+        near = [float(v) for v in plan.reason.rsplit(" ", 1)[1].split(",")]
+        assert math.dist(near[:2], here[:2]) < 0.5
+        assert plan_footsteps(grid, model, start=there, goal=near, options=LATTICE).found
+
+
+def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
+    cells = np.zeros((30, 40), np.uint8)
+    cells[10:20, 18:22] = Cell.UNKNOWN
+    grid, model = FLOOR.with_cells(cells), small_model()
+    start, goal = (0.8, 0.8, 0.0), (2.0, 1.5, 0.0)
+    plan = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
+    assert plan.status is PlanStatus.GOAL_BLOCKED
+    brave = PlannerOptions(unknown_is_free=True, refine=False)
+    plan = plan_footsteps(grid, model, start=start, goal=goal, options=brave)
+    assert plan.found
+    assert violations(plan, grid, model, unknown_is_free=True) == []
+    assert violations(plan, grid, model)
+
+
+@pytest.mark.parametrize(("start", "goal"), [((1, 1, 0), (4.2, 1, 0)), ((-0.1, 1, 0), (1, 1, 0))])
+def test_poses_off_the_map_are_named(start, goal):
+    plan = plan_footsteps(FLOOR, small_model(), start=start, goal=goal, options=LATTICE)
+    assert plan.status is PlanStatus.OFF_MAP
+    assert "from 0,0 to 4,3" in plan.reason
+    assert ("start -0.1,1" if start[0] < 0 else "goal 4.2,1") in plan.reason
+
+
+def test_a_foot_over_the_maps_edge_is_blocked():
+    plan = plan_footsteps(FLOOR, small_model(), start=(1, 1, 0), goal=(3.98, 1, 0), options=LATTICE)
+    assert plan.status is PlanStatus.GOAL_BLOCKED
+
+
+def test_a_goal_in_a_closet_is_found_out_without_searching_the_lattice():
+    grid = blocked_at((9, 24, 11, 37), (20, 24, 22, 37), (9, 24, 22, 26), (9, 35, 22, 37))
+    plan = plan_footsteps(
+        grid, small_model(), start=(1, 1, 0), goal=(3.1, 1.55, 0), options=LATTICE
+    )
+    assert plan.status is PlanStatus.NO_PATH
+    assert plan.expansions == 0
+    assert "enclose" in plan.reason
+
+
+def test_a_robot_too_near_to_a_wall_may_leave_but_not_come():
+    # 4 cm between body and wall, less than the margin of 6 cm.
+    grid, model = blocked_at((0, 0, 30, 8)), small_model(body_margin_m=0.06)
+    near, far = (1.02, 1.5, 0.0), (2.0, 1.5, 0.0)
+    assert (
+        plan_footsteps(grid, model, start=far, goal=near, options=LATTICE).status
+        is PlanStatus.GOAL_BLOCKED
+    )
+    assert (
+        plan_footsteps(grid, model, start=near, goal=far, options=LATTICE).status
+        is PlanStatus.START_BLOCKED
+    )
+    feet = feet_at(near, model.stance_width_m)
+    plan = plan_footsteps(grid, model, start_feet_world=feet, goal=far, options=LATTICE)
+    assert plan.found
+    assert violations(plan, grid, model, stood_freely=False) == []
+
+
+@pytest.mark.parametrize(
+    ("query", "message"),
+    [
+        ({"goal": (1, 1, 0)}, "either start or start_feet_world"),
+        ({"goal": (1, math.nan, 0), "start": (1, 1, 0)}, "goal"),
+        ({"goal": (1, 1), "start": (1, 1, 0)}, "goal"),
+        ({"goal": (1, 1, 0), "start": (math.inf, 1, 0)}, "start"),
+        ({"goal": (1, 1, 0), "start_feet_world": np.zeros((2, 3))}, "start_feet_world"),
+    ],
+)
+def test_numbers_that_are_no_pose_are_refused(query, message):
+    with pytest.raises(ValueError, match=message):
+        plan_footsteps(FLOOR, small_model(), **query)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"name": "magic"}, "planner 'magic' must be one of ara"),
+        ({"epsilon": 0.5}, "epsilon 0.5"),
+        ({"epsilon": math.inf}, "epsilon inf"),
+        ({"final_epsilon": 0.5}, "at least 1"),
+        ({"max_expansions": 0}, "max_expansions 0"),
+        ({"time_limit_s": 0.0}, "time_limit_s 0.0"),
+        ({"heuristic": "guess"}, "heuristic 'guess' must be one of full, path, steps, euclidean"),
+        ({"heuristic": "path", "name": "adstar"}, "for the planners ara, astar, rstar"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        PlannerOptions(**change)

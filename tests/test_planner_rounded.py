@@ -151,9 +151,9 @@ def test_a_with_rounded_bound_search_finds_the_optimum_with_fewer_states(monkeyp
         start, goal = (0.5, 0.5, rng.uniform(-3, 3)), (2.7, 2.6, rng.uniform(-3, 3))
         for reach_m in (0.0, 0.15):
             asked = replace(options, goal_reach_m=reach_m)
-            monkeypatch.setattr(ara_star, "_ROUNDED_EXPANSIONS", 10**9)
+            monkeypatch.setattr(ara_star, "ROUNDED_AFTER", 10**9)
             first = plan_footsteps(grid, model, start=start, goal=goal, options=asked)
-            monkeypatch.setattr(ara_star, "_ROUNDED_EXPANSIONS", 0)
+            monkeypatch.setattr(ara_star, "ROUNDED_AFTER", 0)
             second = plan_footsteps(grid, model, start=start, goal=goal, options=asked)
             assert first.epsilon == second.epsilon == 1.0
             assert second.cost_m == pytest.approx(first.cost_m, abs=1e-9)

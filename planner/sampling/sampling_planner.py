@@ -29,7 +29,7 @@ from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, cost_of
 from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import MICRO
 from planner.options import PlannerOptions
-from planner.plan import PlanStatus, wrap_angle
+from planner.plan import PlanStatus, from_frame, to_frame
 from planner.robot_model import StepModel
 from planner.sampling.footsteps_along_path import PathFootsteps, resample
 from planner.sampling.ompl_paths import (
@@ -126,7 +126,7 @@ def search_window(
     result = plan_ara(
         Request(
             context=GoalContext(lattice=lattice, model=model, tables=tables),
-            feet_lattice=into_frame(stance.feet, goal),
+            feet_lattice=to_frame(stance.feet, goal),
             feet_m=stance.feet_m,
             stands=stance.pair_margin_m < model.body_margin_m,
             first_side=stance.first_side,
@@ -136,30 +136,8 @@ def search_window(
     )
     if result.status is not PlanStatus.FOUND:
         return None, result
-    poses = out_of_frame(result.pose_lattice, goal)
+    poses = from_frame(result.pose_lattice, goal)
     return Footsteps(side=result.side, pose=poses, z_m=result.z_m), result
-
-
-def into_frame(poses: FloatArray, frame: FloatArray) -> FloatArray:
-    """Poses (n, 3) as seen from a frame (3,)."""
-    cos, sin = math.cos(frame[2]), math.sin(frame[2])
-    x, y = (poses[:, :2] - frame[:2]).T
-    return np.column_stack(
-        [cos * x + sin * y, cos * y - sin * x, wrap_angle(poses[:, 2] - frame[2])]
-    )
-
-
-def out_of_frame(poses: FloatArray, frame: FloatArray) -> FloatArray:
-    """The inverse of `into_frame`."""
-    cos, sin = math.cos(frame[2]), math.sin(frame[2])
-    x, y = poses[:, :2].T
-    return np.column_stack(
-        [
-            frame[0] + cos * x - sin * y,
-            frame[1] + sin * x + cos * y,
-            wrap_angle(poses[:, 2] + frame[2]),
-        ]
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -191,7 +169,7 @@ def in_grid_frame(request: Request, options: PlannerOptions, began: float) -> Gr
     x, y, cos, sin = request.lattice.frame
     goal = np.array([x, y, math.atan2(sin, cos)])
     stance = Stance(
-        feet=out_of_frame(request.feet_lattice, goal),
+        feet=from_frame(request.feet_lattice, goal),
         feet_m=request.feet_m,
         first_side=request.first_side,
         pair_margin_m=0.0 if request.stands else request.model.body_margin_m,
@@ -324,7 +302,7 @@ def _found(query: GridRequest, steps: Footsteps, expansions: int, first_s: float
     return Result(
         status=PlanStatus.FOUND,
         side=steps.side,
-        pose_lattice=into_frame(steps.pose, query.goal),
+        pose_lattice=to_frame(steps.pose, query.goal),
         z_m=steps.z_m,
         cost_m=query.cost_um(steps) / MICRO,
         expansions=expansions,

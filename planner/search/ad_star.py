@@ -52,8 +52,6 @@ from planner.search.best_first import (
     SLACK_UM,
     USED,
     insert_roots,
-    trace,
-    with_longer_queue,
 )
 from planner.search.first_plan import CUT_OFF, find_first_plan
 from planner.search.problem import (
@@ -66,6 +64,8 @@ from planner.search.problem import (
     no_body_path,
     no_first_step,
     result_of,
+    trace,
+    with_longer_queue,
 )
 
 _NAME = "adstar"

@@ -33,8 +33,6 @@ from planner.search.best_first import (
     Tree,
     expand,
     start_iteration,
-    trace,
-    with_longer_queue,
 )
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan, is_cut_off
 from planner.search.problem import (
@@ -48,19 +46,21 @@ from planner.search.problem import (
     no_body_path,
     no_first_step,
     result_of,
+    trace,
+    with_longer_queue,
 )
 from planner.search.reachability import Flood, Verdict, expand_both, new_flood, why_enclosed
 from planner.search.search_record import Recorder
 
 _FIRST = -1  # in place of a node: the best plan is the one that was found before this search
 _CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock
-# A search without a plan after _PATIENCE expansions alternates with the floods: _TURN expansions,
-# then _FLOOD_TURN nodes of each flood, which double up to _FLOOD_TURN_MOST, because the longer
-# there is no plan the likelier there is none.
-_PATIENCE, _TURN, _FLOOD_TURN, _FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
+# After FLOOD_AFTER expansions without a plan the search alternates with the floods: SEARCH_TURN
+# expansions, then FLOOD_TURN nodes of each flood, which double up to FLOOD_TURN_MOST, because the
+# longer there is no plan the likelier there is none.
+FLOOD_AFTER, SEARCH_TURN, FLOOD_TURN, FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
 
 # The bound of rounded plans takes long to make: after so many expansions, on grids from so wide.
-_ROUNDED_EXPANSIONS = 2_000_000
+ROUNDED_AFTER = 2_000_000
 _ROUNDED_SPACING_M = 0.03
 
 # Lattices of finer cells are first searched on one of coarse cells, with so many expansions.
@@ -87,7 +87,7 @@ class AraStar:
         self._has_rounded_bound = False
         self._spent = 0  # expansions before this search
         self._flood: Flood | None = None
-        self._flood_turn = _FLOOD_TURN
+        self._flood_turn = FLOOD_TURN
         self._recorder = Recorder(began) if options.record else None
 
     def start_with(self, first: FirstPlan) -> None:
@@ -162,7 +162,7 @@ class AraStar:
                     self.proven = 1.0
                     self.open_bound_um = max(self.open_bound_um, self._best_um)
                 return self._best_um < NO_COST and self.proven > self.options.final_epsilon
-            if self._limit_reached() or self._improved_enough() or self._is_enclosed():
+            if self._limit_reached() or self._left_to_improve() <= 0 or self._is_enclosed():
                 return False
 
     def _reorder_open(self, epsilon: float) -> None:
@@ -185,7 +185,7 @@ class AraStar:
             and self.options.heuristic == FULL
             and not (self._has_rounded_bound or self.task.is_backward)
             and self._best_um < NO_COST
-            and self._expansions >= (0 if is_fine else _ROUNDED_EXPANSIONS)
+            and self._expansions >= (0 if is_fine else ROUNDED_AFTER)
         )
 
     def _use_rounded_bound(self) -> bool:
@@ -201,14 +201,14 @@ class AraStar:
 
     def _is_enclosed(self) -> bool:
         """Whether the floods, if it is their turn, prove that no steps lead to the goal."""
-        if self._may_be_enclosed() and self._expansions >= _PATIENCE:
+        if self._may_be_enclosed() and self._expansions >= FLOOD_AFTER:
             task = self.task
             if self._flood is None:
                 ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
                 self._flood = new_flood(task.lattice, *ends)
             self._flood, self.verdict = expand_both(task.lattice, self._flood, self._flood_turn)
-            self._flood_turn = min(2 * self._flood_turn, _FLOOD_TURN_MOST)
-        return self.verdict.is_enclosed
+            self._flood_turn = min(2 * self._flood_turn, FLOOD_TURN_MOST)
+        return self._flood is not None and self.verdict.is_enclosed
 
     def _may_be_enclosed(self) -> bool:
         return self.verdict is Verdict.OPEN and self._best_um == NO_COST
@@ -219,21 +219,16 @@ class AraStar:
         if self.options.time_limit_s:
             budget = min(budget, _CLOCK_EXPANSIONS)
         if self._may_be_enclosed():
-            budget = min(budget, max(_TURN, _PATIENCE - self._expansions))
-        if not self._has_rounded_bound and self._expansions < _ROUNDED_EXPANSIONS:
-            budget = min(budget, _ROUNDED_EXPANSIONS - self._expansions)
-        left = self._left_to_improve()
-        return max(0, budget if left is None else min(budget, left))
+            budget = min(budget, max(SEARCH_TURN, FLOOD_AFTER - self._expansions))
+        if not self._has_rounded_bound and self._expansions < ROUNDED_AFTER:
+            budget = min(budget, ROUNDED_AFTER - self._expansions)
+        return max(0, min(budget, self._left_to_improve()))
 
-    def _left_to_improve(self) -> int | None:
-        """Expansions left for a better plan than the first; None without such a limit."""
+    def _left_to_improve(self) -> int:
+        """Expansions left for a better plan than the first."""
         if self.options.improve_expansions is None or self._best_um == NO_COST:
-            return None
+            return self.options.max_expansions
         return self.first_expansions + self.options.improve_expansions - self._expansions
-
-    def _improved_enough(self) -> bool:
-        left = self._left_to_improve()
-        return left is not None and left <= 0
 
     def _limit_reached(self) -> str:
         """The limit that ended the search, in words; empty if none did."""

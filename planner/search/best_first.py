@@ -45,7 +45,6 @@ from planner.lattice.lattice import (
     HALF_HEADING,
     TO_ROW,
     UNKNOWN,
-    Int64s,
     Lattice,
     check_node,
     clearance_cost,
@@ -445,28 +444,3 @@ def _expand_node(
         else:
             push_entry(tree, to, INCONS)
     return improved
-
-
-def with_longer_queue(tree: Tree) -> Tree:
-    """The tree with room for twice as many queue entries."""
-    used = len(tree.entry_node)
-    entry_node, entry_next = np.empty(2 * used, np.int32), np.empty(2 * used, np.int32)
-    entry_node[:used], entry_next[:used] = tree.entry_node, tree.entry_next
-    return tree._replace(entry_node=entry_node, entry_next=entry_next)
-
-
-@njit_arrays
-def trace(tree: Tree, node: int) -> Int64s:
-    """Path (n,) of nodes from a root to a node, both included."""
-    number = 0
-    here: int = node
-    while here != ROOT:
-        number += 1
-        here = np.int64(tree.parent[slot_of(tree.slots, here)])  # type: ignore[assignment]
-    path = np.empty(number, np.int64)
-    here = node
-    while number > 0:
-        number -= 1
-        path[number] = here
-        here = np.int64(tree.parent[slot_of(tree.slots, here)])  # type: ignore[assignment]
-    return path

@@ -35,9 +35,8 @@ from planner.search.best_first import (
     expand,
     new_bins,
     start_iteration,
-    trace,
 )
-from planner.search.problem import Request, SearchTask
+from planner.search.problem import Request, SearchTask, trace
 
 # Weights on the heuristic, most expansions with each, and whether states are binned.
 _TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)

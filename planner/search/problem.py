@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.compiled import slots_of, zeros
+from planner.compiled import njit_arrays, slot_of, slots_of, zeros
 from planner.heuristics.distance_field import (
     BodyPath,
     draw_path,
@@ -49,6 +49,7 @@ from planner.search.best_first import (
     BUCKETS,
     NO_BINS,
     NO_COST,
+    ROOT,
     SCALARS,
     Tree,
     insert_roots,
@@ -253,6 +254,31 @@ def new_tree(lattice: Lattice, steps: Int64s, is_backward: bool) -> Tree:
         scalars=scalars,
         bins=NO_BINS,
     )
+
+
+def with_longer_queue(tree: Tree) -> Tree:
+    """The tree with room for twice as many queue entries."""
+    used = len(tree.entry_node)
+    entry_node, entry_next = np.empty(2 * used, np.int32), np.empty(2 * used, np.int32)
+    entry_node[:used], entry_next[:used] = tree.entry_node, tree.entry_next
+    return tree._replace(entry_node=entry_node, entry_next=entry_next)
+
+
+@njit_arrays
+def trace(tree: Tree, node: int) -> Int64s:
+    """Path (n,) of nodes from a root to a node, both included."""
+    number = 0
+    here: int = node
+    while here != ROOT:
+        number += 1
+        here = np.int64(tree.parent[slot_of(tree.slots, here)])  # type: ignore[assignment]
+    path = np.empty(number, np.int64)
+    here = node
+    while number > 0:
+        number -= 1
+        path[number] = here
+        here = np.int64(tree.parent[slot_of(tree.slots, here)])  # type: ignore[assignment]
+    return path
 
 
 def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> SearchTask:

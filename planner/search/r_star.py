@@ -39,11 +39,17 @@ from planner.search.best_first import (
     OUT_OF_ENTRIES,
     expand,
     start_iteration,
+)
+from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan
+from planner.search.problem import (
+    GoalContext,
+    Request,
+    Result,
+    SearchTask,
+    no_first_step,
     trace,
     with_longer_queue,
 )
-from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan
-from planner.search.problem import GoalContext, Request, Result, SearchTask, no_first_step
 
 _APART_M = 2.0  # from a state to its successors
 _SUCCESSORS = 8
