@@ -1,4 +1,4 @@
-"""The laws that every plan obeys, and plans by hand."""
+"""The laws that every plan obeys, plans by hand, and plans through via poses."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from planner.options import PlannerOptions
+from maps.grid import Cell, OccupancyGrid
 from planner.plan import PlanStatus, feet_at, wrap_angle
-from planner.planner import Planner, plan_footsteps
+from planner.planner import Planner, plan_footsteps, plan_through
 from planner.robot_model import Side
 from planner.verify import violations
-from tests.planner_floor import CASES, fine_model, repeatable, scatter, walled
+from tests.planner_floor import CASES, LATTICE, fine_model, repeatable, scatter, walled
 from tests.planner_oracle import small_model
 
 
@@ -25,25 +25,20 @@ def test_plans_among_random_obstacles_are_right_and_repeat(seed):
     grid = grid.with_cells(cells)
     model = fine_model()
     found = 0
-    for _ in range(6):
+    while found < 3:
         start, goal = rng.uniform((0.2, 0.2, -3.1), (2.8, 2.8, 3.1), (2, 3))
-        plan = plan_footsteps(
-            grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
-        )
+        plan = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
         if plan.found:
             found += 1
             assert violations(plan, grid, model) == []
-            again = plan_footsteps(
-                grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
-            )
+            again = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
             assert repeatable(again) == repeatable(plan)
-    assert found
 
 
 def test_a_plan_ends_with_the_goal_feet_to_the_bit_and_begins_where_the_robot_stands():
     grid, start, goal = CASES["wall"]
     model = small_model()
-    plan = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
+    plan = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
     feet = feet_at(goal, model.stance_width_m)
     for side, pose in zip(plan.side[-2:], plan.pose_world[-2:], strict=True):
         assert pose.tolist() == feet[side].tolist()
@@ -56,11 +51,7 @@ def test_straight_ahead_by_hand():
     # of the three costs hypot(0.3, 0.2) + 0.1, the last 0.2 + 0.1.
     grid = walled(20, 30)
     plan = plan_footsteps(
-        grid,
-        small_model(),
-        start=(1.0, 1.0, 0.0),
-        goal=(1.9, 1.0, 0.0),
-        options=PlannerOptions(refine=False),
+        grid, small_model(), start=(1.0, 1.0, 0.0), goal=(1.9, 1.0, 0.0), options=LATTICE
     )
     assert len(plan) == 4
     assert plan.cost_m == pytest.approx(3 * (math.hypot(0.3, 0.2) + 0.1) + 0.3, abs=1e-5)
@@ -76,10 +67,8 @@ def test_the_mirrored_problem_costs_the_same():
         return pose[0], 2.4 - pose[1], -pose[2]
 
     model = small_model()
-    one = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
-    other = plan_footsteps(
-        mirrored, model, start=flip(start), goal=flip(goal), options=PlannerOptions(refine=False)
-    )
+    one = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
+    other = plan_footsteps(mirrored, model, start=flip(start), goal=flip(goal), options=LATTICE)
     assert other.cost_m == pytest.approx(one.cost_m, abs=1e-5)
     assert len(other) == len(one)
 
@@ -88,10 +77,8 @@ def test_the_mirrored_problem_costs_the_same():
 def test_the_first_foot_can_be_forced_and_is_else_the_cheaper_one(side):
     grid, start, goal = CASES["empty"]
     model = small_model()
-    free = plan_footsteps(grid, model, start=start, goal=goal, options=PlannerOptions(refine=False))
-    forced = plan_footsteps(
-        grid, model, start=start, goal=goal, first_side=side, options=PlannerOptions(refine=False)
-    )
+    free = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
+    forced = plan_footsteps(grid, model, start=start, goal=goal, first_side=side, options=LATTICE)
     assert forced.side[0] == side
     assert violations(forced, grid, model) == []
     assert free.cost_m <= forced.cost_m + 1e-9
@@ -102,7 +89,7 @@ def test_the_first_foot_can_be_forced_and_is_else_the_cheaper_one(side):
 def test_planning_goes_on_from_feet_anywhere():
     grid, start, goal = CASES["wall"]
     model = small_model()
-    planner = Planner(grid, model, options=PlannerOptions(refine=False))
+    planner = Planner(grid, model, options=LATTICE)
     plan = planner.plan(start=start, goal=goal)
     feet = np.array(plan.start_feet_world)
     rng = np.random.default_rng(5)
@@ -118,9 +105,7 @@ def test_planning_goes_on_from_feet_anywhere():
 
 def test_no_step_is_needed_where_the_robot_stands_already():
     grid, start, _ = CASES["empty"]
-    plan = plan_footsteps(
-        grid, small_model(), start=start, goal=start, options=PlannerOptions(refine=False)
-    )
+    plan = plan_footsteps(grid, small_model(), start=start, goal=start, options=LATTICE)
     assert plan.found
     assert (len(plan), plan.cost_m, plan.epsilon) == (0, 0.0, 1.0)
     assert violations(plan, grid, small_model()) == []
@@ -130,11 +115,7 @@ def test_near_the_goal_no_step_is_wasted():
     # A foot's length ahead: one step and its closing step, never more.
     grid, _, _ = CASES["empty"]
     plan = plan_footsteps(
-        grid,
-        small_model(),
-        start=(1.0, 1.2, 0.0),
-        goal=(1.2, 1.2, 0.0),
-        options=PlannerOptions(refine=False),
+        grid, small_model(), start=(1.0, 1.2, 0.0), goal=(1.2, 1.2, 0.0), options=LATTICE
     )
     assert len(plan) == 2
 
@@ -146,11 +127,7 @@ def test_no_plan_steps_through_a_wall(thickness):
     model = small_model()
     for yaw in (0.0, math.pi / 2):
         plan = plan_footsteps(
-            grid,
-            model,
-            start=(0.7, 1.2, yaw),
-            goal=(1.9, 1.2, yaw),
-            options=PlannerOptions(refine=False),
+            grid, model, start=(0.7, 1.2, yaw), goal=(1.9, 1.2, yaw), options=LATTICE
         )
         assert plan.status is PlanStatus.NO_PATH
         assert plan.reason
@@ -164,11 +141,7 @@ def test_a_door_is_used_if_the_body_fits_and_only_then():
         # A wall across with a door of so many cells of 0.1 m; the body is 0.36 m wide.
         grid = walled(24, 24, boxes=((0, 12, 10, 13), (10 + cells, 12, 24, 13)))
         plan = plan_footsteps(
-            grid,
-            model,
-            start=(0.6, 1.2, 0.0),
-            goal=(1.8, 1.2, 0.0),
-            options=PlannerOptions(refine=False),
+            grid, model, start=(0.6, 1.2, 0.0), goal=(1.8, 1.2, 0.0), options=LATTICE
         )
         assert plan.found == fits
 
@@ -178,9 +151,7 @@ def test_clearance_draws_the_body_away_from_a_wall():
     start, goal = (0.6, 0.85, 0.0), (3.5, 0.85, 0.0)
 
     def nearest(model):
-        plan = plan_footsteps(
-            grid, model, start=start, goal=goal, options=PlannerOptions(refine=False)
-        )
+        plan = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
         x, y = plan.pose_world[:, 0], plan.pose_world[:, 1]
         return y[(x > 1.0) & (x < 3.0)].min()
 
@@ -191,9 +162,60 @@ def test_clearance_draws_the_body_away_from_a_wall():
 
 def test_headings_count_from_the_goal_and_wrap():
     grid, start, goal = CASES["empty"]
-    plan = plan_footsteps(
-        grid, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
+    plan = plan_footsteps(grid, small_model(), start=start, goal=goal, options=LATTICE)
     off = wrap_angle(plan.pose_world[:, 3] - goal[2]) / (2 * math.pi / 8)
     np.testing.assert_allclose(off, np.round(off), atol=1e-9)
     assert np.all(np.abs(plan.pose_world[:, 3]) <= math.pi)
+
+
+START, VIA, GOAL = (0.5, 0.5, 0.0), (1.5, 0.6, 1.0), (0.8, 1.8, 2.5)
+
+
+def floor(boxes=()):
+    cells = np.zeros((24, 24), np.uint8)
+    for row0, col0, row1, col1 in boxes:
+        cells[row0:row1, col0:col1] = Cell.OCCUPIED
+    return OccupancyGrid(cells=cells, resolution_m=0.1)
+
+
+def test_the_robot_stands_at_every_pose_and_steps_alternate():
+    grid, model = floor(), small_model()
+    plan = plan_through(Planner(grid, model, options=LATTICE), start=START, poses=[VIA, GOAL])
+    assert plan.found
+    assert plan.goal == GOAL
+    assert np.all(np.diff(plan.side) != 0)
+    assert violations(plan, grid, model) == []
+    stood = [
+        set(plan.side[k : k + 2]) == {0, 1}
+        and np.allclose(
+            plan.pose_world[k : k + 2], feet_at(VIA, model.stance_width_m)[plan.side[k : k + 2]]
+        )
+        for k in range(len(plan) - 1)
+    ]
+    assert sum(stood) == 1
+
+
+def test_the_cost_is_that_of_the_legs():
+    grid, model = floor(), small_model()
+    planner = Planner(grid, model, options=LATTICE)
+    first = planner.plan(goal=VIA, start=START)
+    plan = plan_through(planner, start=START, poses=[VIA, GOAL])
+    rest = plan_through(Planner(grid, model, options=LATTICE), start=START, poses=[VIA])
+    assert rest.cost_m == first.cost_m
+    assert plan.cost_m > first.cost_m
+    assert np.array_equal(plan.pose_world[: len(first)], first.pose_world)
+
+
+def test_a_leg_without_a_way_is_named():
+    grid, model = floor(boxes=((13, 0, 14, 24),)), small_model()
+    plan = plan_through(
+        Planner(grid, model, options=LATTICE), start=START, poses=[VIA, (0.8, 1.95, 2.5)]
+    )
+    assert plan.status is PlanStatus.NO_PATH
+    assert plan.reason.startswith("leg 2 of 2: ")
+    assert len(plan) == 0
+
+
+def test_no_pose_is_an_error():
+    with pytest.raises(ValueError, match="poses is empty"):
+        plan_through(Planner(floor(), small_model(), options=LATTICE), start=START, poses=[])

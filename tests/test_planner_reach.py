@@ -20,8 +20,7 @@ from planner.robot_model import StepLimits, StepModel
 from planner.verify import violations
 from tests.planner_floor import walled
 from tests.planner_oracle import Oracle, small_model
-from tests.planner_refined import random_floor, steps_of
-from tests.test_planner_refine_parts import chain_of
+from tests.planner_refinement import problem_of, random_floor, steps_of
 
 BOX = {"x_m": (-0.2, 0.3), "y_m": (0.1, 0.4), "yaw_rad": (-0.4, 0.8)}
 # The box without its corner of steps that are long and wide, and without that of wide ones back.
@@ -187,7 +186,7 @@ def test_a_chain_with_a_step_outside_is_not_allowed():
     )
     costs_um = []
     for plan in plans:
-        rules, poses, outward = chain_of(planner, plan)
+        rules, poses, outward = problem_of(planner, plan)
         costs_um.append(plan_cost_um(rules, poses, outward))
     assert costs_um[0] == pytest.approx(plans[0].cost_m * 1e6, abs=2)
     assert beyond_m(steps_of(plans[1])).max() > 1e-3

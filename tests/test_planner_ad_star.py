@@ -145,6 +145,7 @@ def test_a_kept_plan_is_the_oracles_optimum_when_a_door_shuts_and_opens():
     assert costs_m[:2] == costs_m[2:]
 
 
+@pytest.mark.performance
 def test_a_robot_that_walks_its_plan_needs_no_search():
     grid, start, goal = CASES["wall"]
     model, rng = small_model(), np.random.default_rng(1)

@@ -27,18 +27,12 @@ from planner.refinement.cost import (
     foot_height_um,
     gap_axis,
     plan_cost_um,
-    refinement_problem,
     step_between,
 )
 from planner.refinement.interior_point import solve_banded
-from planner.robot_model import Side
+from tests.planner_floor import LATTICE
 from tests.planner_oracle import small_model
-from tests.planner_refined import (
-    FLOOR,
-    LATTICE,
-    random_floor,
-    shy_model,
-)
+from tests.planner_refinement import FLOOR, problem_of, random_floor, shy_model
 
 
 def test_the_cost_of_a_chain_is_that_of_the_search():
@@ -51,26 +45,12 @@ def test_the_cost_of_a_chain_is_that_of_the_search():
         plan = planner.plan(start=start, goal=goal)
         if not plan.found or not len(plan):
             continue
-        problem, poses, outward = chain_of(planner, plan)
+        problem, poses, outward = problem_of(planner, plan)
         assert plan_cost_um(problem, poses, outward) == pytest.approx(plan.cost_m * 1e6, abs=2)
         # A foot in a wall, or a step too far, is no path.
         poses[1, 0] += 1.0
         assert plan_cost_um(problem, poses, outward) == -1
         compared += 1
-
-
-def chain_of(planner, plan):
-    """RefinementProblem of a planner's space, and a plan as a path on a map whose origin is 0."""
-    feet = plan.start_feet_world[:, [0, 1, 3]].copy()
-    problem = refinement_problem(
-        planner.goal_context(plan.goal).lattice,
-        planner.model,
-        feet,
-        np.zeros(2, np.int64),
-        planner.model.body_margin_m,
-    )
-    poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
-    return problem, poses, float(Side(int(plan.side[0])).outward)
 
 
 def test_slopes_of_rules_and_costs_are_those_of_differences():
@@ -81,7 +61,7 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
     planner = Planner(grid, model, LATTICE)
     plan = planner.plan(start=(0.4, 0.5, 0.2), goal=(2.5, 2.4, 1.0))
     assert plan.found
-    problem, path, first = chain_of(planner, plan)
+    problem, path, first = problem_of(planner, plan)
     lattice = problem.lattice
     seen = 0
     for _ in range(10):
@@ -113,8 +93,8 @@ def test_slopes_of_rules_and_costs_are_those_of_differences():
                 x, y, yaw = step_between(nudged[i], nudged[i + 1], outward)
                 costs.append(math.hypot(x, y) + smooth(0.05, yaw) + smooth(0.2, y - 0.2))
                 costs[-1] += 0.5 * (smooth(0.2, x) - 0.2 * x)
-            gradient = (costs[0] - costs[1]) / 2e-5
-            assert workspace.block[k, 6] == pytest.approx(-gradient, abs=1e-4)
+            by_pose = (costs[0] - costs[1]) / 2e-5
+            assert workspace.block[k, 6] == pytest.approx(-by_pose, abs=1e-4)
     assert seen > 300
 
 

@@ -11,13 +11,13 @@ from planner.lattice.steps import feet_apart
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, relative_step
 from planner.planner import plan_footsteps
+from planner.refinement.cost import refinement_problem
 from planner.robot_model import Side
 from planner.verify import violations
-from tests.planner_floor import fine_model, scatter
+from tests.planner_floor import LATTICE, fine_model, scatter
 from tests.planner_oracle import small_model
 
 REFINED = PlannerOptions(refine=True)
-LATTICE = PlannerOptions(refine=False)
 FLOOR = OccupancyGrid(cells=np.zeros((40, 60), np.uint8), resolution_m=0.1)
 
 
@@ -78,3 +78,17 @@ def stairs():
     grid = OccupancyGrid(cells=np.zeros((40, 80), np.uint8), resolution_m=0.05, elevation_m=heights)
     limits = replace(small_model().limits, z_m=(-0.08, 0.08))
     return grid, small_model(limits=limits, cell_m=0.05, headings=16)
+
+
+def problem_of(planner, plan):
+    """RefinementProblem of a planner's space, and a plan as a path on a map whose origin is 0."""
+    feet = plan.start_feet_world[:, [0, 1, 3]].copy()
+    problem = refinement_problem(
+        planner.goal_context(plan.goal).lattice,
+        planner.model,
+        feet,
+        np.zeros(2, np.int64),
+        planner.model.body_margin_m,
+    )
+    poses = np.vstack([feet[1 - plan.side[0]], plan.pose_world[:, [0, 1, 3]]])
+    return problem, poses, float(Side(int(plan.side[0])).outward)
