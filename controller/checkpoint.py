@@ -1,4 +1,4 @@
-"""Where a training run stands, as a file that a killed run is taken up from."""
+"""Checkpoints: the state of a training run as a file to resume from."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class TrainingError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """A run after `segment` segments, about to train at `stage`.
+    """State of a run after `segment` segments, before it trains at `stage`.
 
-    `best_score` is that of the best policy so far, `history` has one entry a segment, `learner`
-    is what PPO keeps.
+    `best_score` is of the best policy so far, `history` has one entry per segment, `learner` is
+    the state of PPO.
     """
 
     segment: int
@@ -57,7 +57,7 @@ def require_room(folder: Path) -> None:
 
 
 def write_checkpoint(folder: Path, config: TrainConfig, robot: Robot, state: Checkpoint) -> None:
-    """Write everything that is needed to go on, under a temporary name first.
+    """Write a checkpoint, under a temporary name first.
 
     Raises:
         OSError: it cannot be written; the one that was there stays.
@@ -72,7 +72,7 @@ def write_checkpoint(folder: Path, config: TrainConfig, robot: Robot, state: Che
         "history": json.dumps(state.history),
         "learner": state.learner,
     }
-    # Through memory: of a full disk torch tells in words of its own, the file in an OSError.
+    # Through memory, so that a full disk is an OSError and not an error of torch's own.
     content = io.BytesIO()
     torch.save(document, content)
     folder.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     try:
         document = torch.load(path, weights_only=True)
     except Exception as error:
-        # What torch says goes on for many lines, with advice that nobody should follow here.
+        # torch's own message is many lines of advice that does not apply here.
         raise TrainingError(f"{path} cannot be read: it is damaged or no checkpoint") from error
     if not isinstance(document, Mapping) or document.get("format") != CHECKPOINT_FORMAT:
         raise TrainingError(f"{path} is not a {CHECKPOINT_FORMAT} checkpoint")
@@ -126,7 +126,7 @@ def _check_config(folder: Path, config: TrainConfig, theirs: Mapping[str, Any]) 
 
 
 def _layout(robot: Robot) -> dict[str, Any]:
-    """What the numbers in the networks' first and last layers mean."""
+    """Meaning of the inputs and outputs of the networks."""
     return {
         "observation": layout(policy_fields(robot)),
         "critic": layout(critic_fields()),

@@ -1,4 +1,4 @@
-"""The gait clock: when each foot swings, and how sharply that is asked for.
+"""The gait clock: when each foot swings, and the support indicator.
 
 Time is counted in control ticks. A step period begins with one foot's swing (single support)
 and ends with both feet down (double support); a cycle is a period of each foot.
@@ -18,7 +18,7 @@ from sim.robot import GaitTiming
 CONTROL_PERIOD_S = 0.025
 
 PACES = ("slow", "normal", "fast")
-# What a step may turn, go aside and climb to be taken fast.
+# Greatest turn, sideways distance and climb of a step at the fast pace.
 FAST_TURN_RAD, FAST_ASIDE_M, FAST_CLIMB_M = 0.15, 0.06, 0.01
 
 # Half the time over which a foot's role changes between swing and support.
@@ -27,7 +27,7 @@ RAMP_HALF_S = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class GaitTicks:
-    """A gait's durations in control ticks, or those (B,) of each of B robots' present steps."""
+    """Durations in control ticks, of a gait or (B,) of the present steps of B robots."""
 
     swing: Any
     double_support: Any
@@ -55,10 +55,10 @@ class GaitTicks:
 def step_durations_s(
     plan: FootstepPlan, gait: GaitTiming, pace: str, fastest_s: float, slowest_s: float
 ) -> np.ndarray | None:
-    """How long each step of a plan is to take (N,), by a pace of `PACES`; None at `normal`.
+    """Duration of each step of a plan (N,) at a pace of `PACES`; None at `normal`.
 
-    At `fast` a step takes `fastest_s` where it goes on straight and level, and as long as the
-    robot's gait does where it turns, goes sideways or climbs.
+    At `fast` straight and level steps take `fastest_s`; steps that turn, go sideways or climb take
+    as long as the robot's gait.
     """
     if pace == "normal" or not len(plan):
         return None
@@ -97,7 +97,7 @@ def clock(ticks: GaitTicks, side: np.ndarray, tick: np.ndarray, standing: np.nda
 def support_indicator(
     ticks: GaitTicks, side: np.ndarray, tick: np.ndarray, standing: np.ndarray
 ) -> np.ndarray:
-    """How much each foot should bear weight and rest (B, 2): +1 support, -1 swing.
+    """Desired role of each foot (B, 2): +1 support, -1 swing.
 
     This is the phase indicator of Singh et al. 2022, sec. IV-C, with linear ramps at lift-off
     and touch-down, the same for force and (negated) for speed.

@@ -25,17 +25,15 @@ from controller.step_sequences import MODES
 from sim.robot import Robot
 from sim.robots import get_robot, robot_names
 
-# What the Gymnasium environments share: spaces, ways of walking, and the ends of episodes.
-
-# Further from half-sitting the joint targets are held there: beyond every joint that a leg has,
-# or so far that the servo gives all its torque.
+VERSION = 0
+# Joint targets are clipped to this distance from half-sitting, which no leg joint needs to exceed.
 ACTION_LIMIT_RAD = 2.0
-# What a transition tells of a foot that has just landed.
+# Fields of a `Transition` that hold for feet that have just landed.
 LANDING_ERRORS = ("landing_error_m", "landing_height_error_m", "landing_heading_error_rad")
 
 
 def observation_space(robot: Robot) -> spaces.Box:
-    """Scaled observations (N,), cut off where training cuts them off."""
+    """Scaled observations (N,), clipped as in training."""
     width = sum(field.width for field in policy_fields(robot))
     return spaces.Box(-SCALED_LIMIT, SCALED_LIMIT, (width,), np.float32)
 
@@ -46,19 +44,16 @@ def action_space(robot: Robot) -> spaces.Box:
 
 
 def clip_to_space(observation: np.ndarray) -> np.ndarray:
-    """A new array of observations (B, N) in float32 and within the space.
-
-    A simulation that broke down may end in numbers that are not finite; they read 0.
-    """
+    """Observations (B, N) in float32, clipped to the space; numbers that are not finite read 0."""
     limited = np.clip(np.nan_to_num(observation), -SCALED_LIMIT, SCALED_LIMIT)
     return limited.astype(np.float32)
 
 
 def validated_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """The action in float64, within its bounds.
+    """The action in float64, clipped to its bounds.
 
     Raises:
-        ValueError: it has another shape, or numbers that are not finite.
+        ValueError: wrong shape, or numbers that are not finite.
     """
     action = np.asarray(action, dtype=np.float64)
     if action.shape != shape:
@@ -69,23 +64,23 @@ def validated_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 class GymTask(WalkTask):
-    """The walking task, which also keeps how episodes ended.
+    """The walking task that also keeps the last states of episodes.
 
     A `WalkTask` starts the next episode within the step that ends one; `last_observation` (B, N)
-    and `last_render_state` are from between the two.
+    and `last_render_state` are from before that.
     """
 
     last_observation: np.ndarray
     last_render_state: RenderState
 
     def reset(self, rows: np.ndarray) -> None:
-        """Start new episodes for the robots `rows`, after a look at the old ones."""
+        """Keep the last states of the episodes of the robots `rows`, and start new ones."""
         if len(rows):
             self.last_observation, self.last_render_state = self.observe(), self.moment()
         super().reset(rows)
 
     def moment(self) -> RenderState:
-        """The robots as they are now."""
+        """The present state of all robots for drawing."""
         cursor = self.walker.cursor
         return RenderState(
             qpos=self.walker.sim.qpos.copy(),
@@ -105,10 +100,10 @@ def make_task(
     stage: Stage | None,
     render_mode: str | None,
 ) -> GymTask:
-    """The task that an environment runs.
+    """The task of an environment.
 
     Raises:
-        ValueError: there is no such robot, way of walking or render mode, or no robot at all.
+        ValueError: unknown robot, mode or render mode, or a count below 1.
     """
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
@@ -129,16 +124,9 @@ def make_task(
 
 
 def require_no_options(options: dict[str, object] | None) -> None:
-    """Takes no options.
-
-    Raises:
-        ValueError: there are some.
-    """
+    """Raises ValueError for options, as there are none."""
     if options:
         raise ValueError(f"reset takes no options here, but got {', '.join(options)}")
-
-
-VERSION = 0
 
 
 def environment_id(robot: str) -> str:
@@ -147,11 +135,11 @@ def environment_id(robot: str) -> str:
 
 
 class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
-    """One robot that walks along steps drawn anew every episode.
+    """One robot that follows steps drawn anew every episode.
 
     The observation (N,) is the policy's, scaled; the action (J,) an offset in rad of the joint
-    targets from half-sitting. `info` tells whether a step has just ended (`landed`) and, if so,
-    how far its foot is from where it was asked for; and the terms of the reward.
+    targets from half-sitting. `info` says whether a step has just ended (`landed`), then with the
+    foot's errors from its target, and holds the terms of the reward.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
@@ -168,13 +156,13 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         stage: Stage | None = None,
         render_mode: str | None = None,
     ):
-        """Set the robot up; `mode` is a way of walking, None for a mix of all.
+        """Set the robot up; `mode` is a walking mode, None for a mix of all.
 
-        `stage` says how high stairs are and how much is disturbed: nothing, unless it is given.
+        `stage` is the rise of stairs and the level of disturbances, by default none.
 
         Raises:
-            ValueError: there is no such robot, way of walking or render mode.
-            NoGlError: pictures are asked for, and no GL library works here.
+            ValueError: unknown robot, mode or render mode.
+            NoGlError: render_mode is set and no GL library works here.
         """
         self._task = make_task(
             robot, count=1, mode=mode, config=config, stage=stage, render_mode=render_mode
@@ -182,7 +170,7 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self.render_mode = render_mode
         self.observation_space = observation_space(self._task.robot)
         self.action_space = action_space(self._task.robot)
-        self._painter = SceneRenderer(self._task.walker.scene) if render_mode else None
+        self._renderer = SceneRenderer(self._task.walker.scene) if render_mode else None
         self._ended = False
 
     def reset(
@@ -196,7 +184,7 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return clip_to_space(self._task.observe())[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Act for one control step; the observation after the last one is the episode's own."""
+        """Act for one control step; the last observation is of the episode that ended."""
         (joints,) = self.action_space.shape or ()
         step = self._task.step(validated_action(action, (joints,))[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
@@ -213,16 +201,16 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return clip_to_space(seen)[0], float(step.reward[0]), terminated, truncated, info
 
     def render(self) -> np.ndarray | None:
-        """A picture (480, 640, 3) of the robot and its next two steps; None without render_mode."""
-        if self._painter is None:
+        """Image (480, 640, 3) of the robot and its next two steps; None without render_mode."""
+        if self._renderer is None:
             return None
         moment = self._task.last_render_state if self._ended else self._task.moment()
-        return self._painter.draw(moment, 0)
+        return self._renderer.draw(moment, 0)
 
     def close(self) -> None:
-        """Free what drawing holds."""
-        if self._painter is not None:
-            self._painter.close()
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
 
 
 def register() -> None:
@@ -237,20 +225,16 @@ def register() -> None:
             )
 
 
-# Gymnasium's custom: environments are there once their module is imported.
+# As is usual with Gymnasium, importing the module registers its environments.
 register()
 
 
-# Many robots as one Gymnasium vector environment, backed by one batch of simulations.
-
-
 class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
-    """B robots, each walking along steps of its own.
+    """B robots in one batch of simulations, each following steps of its own.
 
-    Where an episode ends, the next one begins within the same step: the observation is the new
-    episode's first, and `final_obs` and `final_info` hold what ended, as Gymnasium's SAME_STEP
-    has it. Spaces, rewards and infos are otherwise those of `WalkEnv`, the infos as arrays (B,)
-    each with a mask of its name after an underscore; the terms of the reward are left out.
+    Autoreset is Gymnasium's SAME_STEP: where an episode ends, the observation is the first of the
+    next one, and `final_obs` and `final_info` hold the last of the old one. Infos are those of
+    `WalkEnv` without the reward's terms, as arrays (B,), each with a mask named `_NAME`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
@@ -269,11 +253,11 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         stage: Stage | None = None,
         render_mode: str | None = None,
     ):
-        """Set `num_envs` robots up, whose physics runs in `threads` threads.
+        """Set `num_envs` robots up, with physics in `threads` threads.
 
         Raises:
-            ValueError: there is no such robot, way of walking or render mode, or no robot at all.
-            NoGlError: pictures are asked for, and no GL library works here.
+            ValueError: unknown robot, mode or render mode, or num_envs below 1.
+            NoGlError: render_mode is set and no GL library works here.
         """
         self._task = make_task(
             robot,
@@ -290,12 +274,12 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         self.single_action_space = action_space(self._task.robot)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._painter = SceneRenderer(self._task.walker.scene) if render_mode else None
+        self._renderer = SceneRenderer(self._task.walker.scene) if render_mode else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start new episodes everywhere; one seed is for all robots, whatever the threads."""
+        """Start new episodes for all robots from one seed; threads do not change the result."""
         super().reset(seed=seed)
         require_no_options(options)
         self._task.restart(int(self.np_random.integers(2**63)))
@@ -319,24 +303,24 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         return observation, step.reward, step.terminated, step.truncated, infos
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture (480, 640, 3) of every robot; None without render_mode."""
-        if self._painter is None:
+        """Images (480, 640, 3) of all robots; None without render_mode."""
+        if self._renderer is None:
             return None
         now = self._task.moment()
-        return tuple(self._painter.draw(now, row) for row in range(self.num_envs))
+        return tuple(self._renderer.draw(now, row) for row in range(self.num_envs))
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free what drawing holds."""
-        if self._painter is not None:
-            self._painter.close()
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
 
 
 def _infos(step: Transition, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """What the step tells of the robots where `rows` (B,) is true, with masks."""
-    told = dict.fromkeys(("landed", "stairs", "failed"), rows)
-    told |= dict.fromkeys(LANDING_ERRORS, rows & step.landed)
+    """Infos of the robots where `rows` (B,) is true, with masks."""
+    masks = dict.fromkeys(("landed", "stairs", "failed"), rows)
+    masks |= dict.fromkeys(LANDING_ERRORS, rows & step.landed)
     infos = {}
-    for name, mask in told.items():
+    for name, mask in masks.items():
         values = getattr(step, name)
         infos[name] = np.where(mask, values, np.zeros(1, values.dtype))
         infos[f"_{name}"] = mask.copy()

@@ -1,4 +1,4 @@
-"""Pictures of a robot on its steps, for Gymnasium's `render`."""
+"""Images of a robot and its next steps, for Gymnasium's `render`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sim.scene import Scene, build_scene
 
 @dataclass(frozen=True, kw_only=True)
 class RenderState:
-    """What a picture needs of all robots at one moment.
+    """State of all robots for drawing.
 
     `qpos` is (B, nq), `window` (B, 2, 4) the present and the next step in the world, `side` (B,)
     the foot of the present one. `ground` is as `SimBatch.ground_pose` gives it.
@@ -36,14 +36,13 @@ PLATE_THICKNESS_M = 0.004
 
 
 class SceneRenderer:
-    """Draws one robot at a time, dressed, with the two steps before it.
+    """Draws one robot with its meshes and its next two steps.
 
-    It draws in a GL context of its own, so that it does not matter what MUJOCO_GL said when
-    MuJoCo was imported, as `mujoco.Renderer` would have it.
+    It makes its own GL context: `mujoco.Renderer` depends on MUJOCO_GL when MuJoCo was imported.
     """
 
     def __init__(self, scene: Scene):
-        """Get ready to draw the robot of a scene, on the ground that the scene has.
+        """Prepare to draw the robot of a scene on its ground.
 
         Raises:
             NoGlError: no GL library works here.
@@ -70,7 +69,7 @@ class SceneRenderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._renderer)
 
     def draw(self, moment: RenderState, row: int) -> np.ndarray:
-        """The picture (HEIGHT, WIDTH, 3), red green blue, of robot `row` at a moment."""
+        """Image (HEIGHT, WIDTH, 3), RGB, of robot `row`."""
         self._context.make_current()
         qpos, window, side = moment.qpos[row], moment.window[row], Side(int(moment.side[row]))
         self._data.qpos[:] = qpos
@@ -101,7 +100,7 @@ class SceneRenderer:
             self._context = None
 
     def _add_plate(self, pose_world: np.ndarray, side: Side) -> None:
-        """A coloured plate where the foot is to stand."""
+        """Add a coloured plate at the target of a foot."""
         x, y, z, yaw = pose_world
         cos, sin = math.cos(yaw), math.sin(yaw)
         plate = self._scene.geoms[self._scene.ngeom]
@@ -117,7 +116,7 @@ class SceneRenderer:
 
 
 def _gl_context() -> Any:
-    """A current GL context of the kind that works here."""
+    """A current GL context from the library that works here."""
     way = prepare_gl()
     try:
         module = importlib.import_module(f"mujoco.{way}" if way else "mujoco")

@@ -1,8 +1,7 @@
-"""A trained policy as numbers: a small network run in numpy, and the two files it is kept in.
+"""Policies: a small network evaluated in numpy, and its two files.
 
-`NAME.safetensors` holds the weights; `NAME.json` beside it says what they fit: robot, observation
-layout, normaliser, MuJoCo version, and how they were trained. Nothing is unpickled, and torch is
-not needed to walk.
+`NAME.safetensors` holds the weights; `NAME.json` beside it the robot, observation layout,
+normaliser, MuJoCo version and record of training. Nothing is unpickled, and torch is not needed.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class PolicyError(ValueError):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Policy:
-    """Layers of (weight (out, in), bias (out,)) with ReLU between them, and what they fit."""
+    """Layers of (weight (out, in), bias (out,)) with ReLU between, normaliser, and metadata."""
 
     layers: tuple[tuple[np.ndarray, np.ndarray], ...]
     offset: np.ndarray
@@ -43,7 +42,7 @@ class Policy:
 
     @property
     def is_paced(self) -> bool:
-        """Whether it sees how long steps are to take; if not, it walks at the robot's own gait."""
+        """Whether it observes step durations; if not, it walks at the robot's own gait."""
         return [str(name) for name, _ in self.about["observation"]][-1] == "step_s"
 
     def step_range_s(self, robot: Robot) -> tuple[float, float]:
@@ -79,7 +78,7 @@ class Policy:
 
     def act_scaled(self, observation: np.ndarray) -> np.ndarray:
         """Actions (B, J) for observations (B, N) that are scaled already."""
-        # What newer observations have at their end, an older policy does not look at.
+        # Older policies ignore the fields that were appended to the observation since.
         values = observation[..., : self.layers[0][0].shape[1]].astype(np.float32)
         for weight, bias in self.layers[:-1]:
             values = np.maximum(values @ weight.T + bias, 0.0)
@@ -90,7 +89,7 @@ class Policy:
 def policy_for(
     robot: Robot, layers: tuple[tuple[np.ndarray, np.ndarray], ...], **about: Any
 ) -> Policy:
-    """A policy for the robot as it is now defined."""
+    """A policy of these layers for the robot, with its present observation."""
     fields = policy_fields(robot)
     offset, scale = normaliser(fields)
     facts = {

@@ -1,4 +1,4 @@
-"""Training from nothing to a policy, in segments that a killed run takes up again exactly.
+"""The training run, in segments that a killed run resumes exactly.
 
 A segment is a fixed number of updates. It begins by drawing new episodes and seeding torch from
 (seed, segment), and ends with a checkpoint; so a resumed run gives the policy that the
@@ -32,8 +32,6 @@ from controller.policy import Policy, policy_for, save_policy
 from controller.ppo import RslWalkEnv, TrainConfig, actor_layers, make_ppo, set_progress
 from controller.step_sequences import PlannedSteps
 from sim.robot import Robot
-
-# What a segment of training came to.
 
 
 @dataclass
@@ -78,7 +76,7 @@ class SegmentStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentReport:
-    """What a segment gave; passed to the progress display."""
+    """Results of a segment, for the progress display."""
 
     samples: int
     samples_total: int
@@ -93,11 +91,8 @@ class SegmentReport:
     best: bool
 
 
-# Which code runs, for the record that a policy keeps.
-
-
 def git_revision() -> str:
-    """The revision of the code that trains, or 'unknown' outside a checkout."""
+    """Git revision of the code, or 'unknown' outside a checkout."""
     try:
         return subprocess.run(
             ["git", "rev-parse", "--short", "HEAD"],
@@ -144,7 +139,7 @@ class Trainer:
         self.history: list[dict[str, Any]] = []
 
     def run(self, progress: Callable[[SegmentReport], None]) -> None:
-        """Train to the end, from where the run stands; the best policy is in the folder.
+        """Train to the end from the present segment; the best policy is saved in the folder.
 
         Raises:
             TrainingError: the folder cannot be written, say because the disk is full.
@@ -156,7 +151,7 @@ class Trainer:
                 while self.segment < self.config.segments:
                     require_room(self.out)
                     report = self._run_segment(writer)
-                    # Before the checkpoint: who resumes from it relies on the policy being there.
+                    # Before the checkpoint, so that a resumed run finds the best policy.
                     if report.best:
                         save_policy(self._policy(), self.out / f"{self.robot.name}.safetensors")
                     self.save_checkpoint()
@@ -207,7 +202,7 @@ class Trainer:
         results: tuple[ModeResult, ...],
         seconds: float,
     ) -> SegmentReport:
-        """Log the segment, keep its line of history, and tell whether it is the best so far."""
+        """Log the segment, append it to the history and update best score and stage."""
         config, stage, (flat, *stairs) = self.config, self.stage, results
         samples = self.segment * config.samples_per_segment
         assessed = flat.summary
@@ -221,9 +216,9 @@ class Trainer:
                 if not isinstance(number, str):
                     writer.add_scalar(f"{group}/{name}", number, samples)
         writer.flush()
-        # A policy of the reward of the warm-up is none that the run is after.
-        settled = config.rewards.progress((self.segment - 1) / config.segments)
-        now = (settled, *score(stage, results))
+        # Policies trained under the warm-up reward count as worse.
+        blended = config.rewards.progress((self.segment - 1) / config.segments)
+        now = (blended, *score(stage, results))
         best = now > self.best_score
         self.best_score = max(now, self.best_score)
         line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}
@@ -267,7 +262,7 @@ class Trainer:
         )
 
     def save_checkpoint(self) -> None:
-        """Write everything that is needed to go on.
+        """Write the state needed to resume.
 
         Raises:
             OSError: it cannot be written; the one that was there stays.
@@ -282,7 +277,7 @@ class Trainer:
         write_checkpoint(self.out, self.config, self.robot, state)
 
     def resume(self) -> None:
-        """Take up the folder's checkpoint.
+        """Resume from the folder's checkpoint.
 
         Raises:
             TrainingError: there is none, it cannot be read, or it is of another configuration.

@@ -1,8 +1,8 @@
-"""Flights of stairs drawn for training and evaluation: the steps and the ground under them.
+"""Flights of stairs for training and evaluation: step sequences and the ground under them.
 
-A flight is a chain of places, one run apart, each with its height; places 0 to `before` are level
-with the start, and every place after the last riser is level with it. The feet go one place a
-step, or bring both feet to each place. An edge between two heights lies midway between places.
+A flight is a chain of places, one tread run apart, each with its height; the first places are level
+with the start, those after the last riser with its top. The feet take one place per step, or both
+stand on each place. Edges lie midway between places of different height.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from controller.observation import rotate_xy
 from controller.step_cursor import StepSequence
 from planner.plan import relative_step
 from planner.robot_model import Side, StepModel
@@ -33,7 +34,7 @@ TRIES = 20
 
 @dataclass(frozen=True, kw_only=True)
 class _Shape:
-    """How a flight is walked; lengths in m."""
+    """Geometry of the steps on a flight; lengths in m."""
 
     run_m: float
     approach_m: float
@@ -53,17 +54,17 @@ def draw_stairs(
     steps: int,
     tread_error_m: float = 0.0,
 ) -> tuple[StepSequence, Ground]:
-    """A sequence of `steps` (at least 4) steps over a flight, and the ground that is really there.
+    """A sequence of `steps` (at least 4) steps over a flight, and the true ground.
 
     Args:
-        rng: what everything is drawn from.
-        model: the robot's steps; every step keeps its limits.
+        rng: the random generator.
+        model: the robot's step model; every step keeps its limits.
         start_feet_world: both feet (2, 4), left then right, side by side.
         mode: one of `STAIR_MODES`; `stairs` is a mix.
         rise_m: height of every step of the flight, positive.
-        steps: how many steps.
-        tread_error_m: each tread is up to this much higher or lower than its step says; limited
-            to half the rise, so that no tread covers another.
+        steps: number of steps.
+        tread_error_m: amplitude of each tread's height error; limited to half the rise, so that no
+            tread covers another.
     """
     if mode == "stairs":
         kinds = list(KIND_SHARES)
@@ -119,8 +120,7 @@ def _draw_shape(rng: np.random.Generator, model: StepModel, *, plain: bool, curv
     slack_share = rng.uniform() if rng.uniform() < 0.5 else 0.0
     skew_rad = rng.uniform(-0.06, 0.06) if rng.uniform() < 0.5 else 0.0
     turn_rad = rng.choice([-1.0, 1.0]) * rng.uniform(0.03, 0.15) if curved else 0.0
-    # What is left between a foot and the edges; a turn takes from it at the outer corner of the
-    # foot, the more the wider the stance.
+    # Room between a foot and the edges; a turn reduces it at the outer corner of the foot.
     toe_m = (length_m * math.cos(skew_rad) + foot.width_m * abs(math.sin(skew_rad))) / 2
     room_m = max(0.0, run_m / 2 - toe_m - EDGE_MARGIN_M)
     reach_m = (width_m + foot.width_m) / 2
@@ -168,9 +168,7 @@ def _foot_poses(
         along_m[-1] = along_m[-2]
     left_m = (1 - 2 * side) * shape.width_m / 2
     poses = centres[place]
-    cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
-    poses[:, 0] += cos * along_m - sin * left_m
-    poses[:, 1] += sin * along_m + cos * left_m
+    poses[:, :2] += rotate_xy(np.stack([along_m, left_m], axis=1), poses[:, 3])
     poses[:, 3] += shape.skew_rad
     return poses
 

@@ -17,7 +17,7 @@ from planner.robot_model import Side, StepLimits, StepModel
 
 MAX_STEPS = 12
 
-# Gives the next step; told whether the swing foot is the outer one of the motion.
+# Draws the next step, given whether the swing foot is the outer one of the motion.
 DrawStep = Callable[[bool], tuple[float, float, float]]
 
 
@@ -73,10 +73,9 @@ def _diagonal(rng: np.random.Generator, model: StepModel) -> DrawStep:
 
 
 def _arbitrary(rng: np.random.Generator, model: StepModel) -> DrawStep:
-    """Every step anew: anywhere within the limits, or near a step of the planner's set.
+    """Every step drawn anew, anywhere within the limits or near a step of the planner's set.
 
-    Plans mix steps of all kinds, and a robot that knows each kind but not the change from one to
-    the next falls there.
+    Plans mix all kinds of steps, and the policy must learn the changes between kinds.
     """
     low, high = _bounds(model.limits)
 
@@ -173,10 +172,10 @@ def draw_sequence(
 
 
 def clip_to_limits(steps: np.ndarray, limits: StepLimits, stance_width_m: float) -> np.ndarray:
-    """The steps (N, 3) brought within the limits.
+    """The steps (N, 3) clipped to the limits.
 
-    Each number is clipped to its interval; where a step then lies outside the polygon, it goes
-    straight toward the stance (0, stance_width_m) as far as the polygon's edge.
+    Each number is clipped to its interval; a step outside the polygon is then moved straight
+    toward the stance (0, stance_width_m) to the polygon's edge.
     """
     clipped = np.clip(steps, *_bounds(limits))
     planes = limits.half_planes
@@ -198,9 +197,6 @@ def _bounds(limits: StepLimits) -> tuple[np.ndarray, np.ndarray]:
 def _shares() -> np.ndarray:
     shares = np.array(list(MODE_SHARES.values()))
     return shares / shares.sum()
-
-
-# Steps of the planner's corpus, as training draws them.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,9 +227,9 @@ class PlannedSteps:
     def draw(
         self, rng: np.random.Generator, start_feet_world: np.ndarray, *, steps: int
     ) -> StepSequence:
-        """At most `steps` steps in a row of one plan, from the feet (2, 4), either foot first.
+        """At most `steps` consecutive steps of one plan, from the feet (2, 4), either foot first.
 
-        With the other foot first it is the plan in a mirror.
+        The plan is mirrored if the first foot is not its own.
         """
         plan = int(rng.choice(np.flatnonzero(np.diff(self.offsets))))
         first, last = int(self.offsets[plan]), int(self.offsets[plan + 1])

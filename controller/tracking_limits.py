@@ -1,6 +1,6 @@
-"""What a policy was measured to do, stored beside its weights, and what planning makes of it.
+"""Tracking limits: step limits and margins measured on a policy, and the step model they give.
 
-`NAME.measured.json` lies beside `NAME.safetensors` and holds for those weights alone. `evaluate`
+`NAME.measured.json` lies beside `NAME.safetensors` and holds for those weights only; `evaluate`
 writes it. Reading it loads neither torch nor MuJoCo.
 """
 
@@ -21,11 +21,11 @@ FORMAT = "measured-follower/1"
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingLimits:
-    """What planning needs to know of the robot that follows.
+    """Limits within which a robot with its policy tracks steps.
 
-    `limits`: all steps within them together succeed in at least 99 % of walks. `foot_margin_m`
-    covers the 99th percentile of how far any point of a sole comes down from its place,
-    `body_margin_m` how far the body sways beyond its box. `evidence` says how that was measured.
+    `limits`: walks of steps within them succeed in at least 99 %. `foot_margin_m` covers the 99th
+    percentile of the landing error of any point of a sole, `body_margin_m` the sway of the body
+    beyond its box. `evidence` records the measurement.
     """
 
     robot: str
@@ -37,7 +37,7 @@ class TrackingLimits:
 
 
 def tracking_limits_path(policy_path: Path | None, robot: Robot) -> Path:
-    """Where the measurements of a policy are, by default of the robot's own."""
+    """Path of the tracking limits of a policy, by default of the robot's own."""
     policy_path = policy_path or POLICY_FOLDER / f"{robot.name}.safetensors"
     return policy_path.with_suffix(".measured.json")
 
@@ -48,7 +48,7 @@ def tracking_limits_text(measured: TrackingLimits) -> str:
 
 
 def load_tracking_limits(robot: Robot, policy_path: Path | None = None) -> TrackingLimits | None:
-    """What was measured of a policy; None where nothing was, or it was of other weights.
+    """The tracking limits of a policy; None without any, or if they are of other weights.
 
     Raises:
         PolicyError: the file cannot be read or is of another robot.
@@ -71,7 +71,7 @@ def load_tracking_limits(robot: Robot, policy_path: Path | None = None) -> Track
 
 
 def limits_from(document: Mapping[str, Any]) -> StepLimits:
-    """Step limits as JSON holds them.
+    """Step limits from JSON.
 
     Raises:
         ValueError, TypeError: the document holds no step limits.
@@ -103,10 +103,10 @@ def planning_model(model: StepModel, measured: TrackingLimits) -> StepModel:
 
 
 def with_tracking_limits(robot: Robot, policy_path: Path | None = None) -> Robot:
-    """The robot with the step model that its policy was measured to walk, where it was.
+    """The robot with the step model of its policy's tracking limits, if there are any.
 
     Raises:
-        PolicyError: what was measured cannot be read or used.
+        PolicyError: the file cannot be read or used.
     """
     measured = load_tracking_limits(robot, policy_path)
     if measured is None:
@@ -116,6 +116,6 @@ def with_tracking_limits(robot: Robot, policy_path: Path | None = None) -> Robot
     except ValueError as error:
         path = tracking_limits_path(policy_path, robot)
         raise PolicyError(f"{path} does not fit {robot.name}: {error}") from error
-    # What is trained on stays as the robot's file says.
+    # Training keeps the limits of the robot's file.
     trained = robot.training_model.limits
     return replace(robot, step_model=model, training_limits=trained)

@@ -8,7 +8,48 @@ from mujoco.batch import Batch, SimulationError
 
 from sim.scene import Scene
 from sim.terrain import Ground, GroundBatch
-from sim.variation import Variation
+
+
+class Variation:
+    """Per-simulation friction, masses, centre of mass and servo gains, relative to the model's."""
+
+    def __init__(self, model: mujoco.MjModel, batch: Batch):
+        self._model, self._batch = model, batch
+        self._pelvis = model.body("pelvis").id
+        names = (
+            *("geom_friction", "body_mass", "body_inertia", "body_ipos"),
+            *("actuator_gainprm", "actuator_biasprm"),
+        )
+        self._fields = {name: batch.expand(name) for name in names}
+        self._nominal = {name: np.array(getattr(model, name)) for name in names}
+
+    def set(
+        self,
+        *,
+        friction: np.ndarray,
+        mass: np.ndarray,
+        pelvis_com_m: np.ndarray,
+        gain: np.ndarray,
+    ) -> None:
+        """Set all simulations.
+
+        Args:
+            friction: factor (B,) of all sliding friction.
+            mass: factor (B,) of all masses and inertias.
+            pelvis_com_m: offset (B, 3) of the pelvis body's centre of mass.
+            gain: factor (B,) of the servos' stiffness and damping.
+        """
+        fields, nominal = self._fields, self._nominal
+        fields["geom_friction"][:] = nominal["geom_friction"]
+        fields["geom_friction"][..., 0] *= friction[:, None]
+        fields["body_mass"][:] = nominal["body_mass"] * mass[:, None]
+        fields["body_inertia"][:] = nominal["body_inertia"] * mass[:, None, None]
+        fields["body_ipos"][:] = nominal["body_ipos"]
+        fields["body_ipos"][:, self._pelvis] += pelvis_com_m
+        for name in ("actuator_gainprm", "actuator_biasprm"):
+            fields[name][:] = nominal[name] * gain[:, None, None]
+        self._batch.set_const()
+
 
 _BAD_STATE = [
     int(warning)
@@ -27,7 +68,7 @@ class SimBatch:
     `qpos` (B, nq) and `qvel` (B, nv) are live views of the states: writing them sets the
     states. `sensors` (B, S, nsensordata) holds every sensor at each of the S physics steps of
     the last `step()`. `failed` (B,) marks the simulations whose last step raised in MuJoCo or
-    left a state that is not finite; they must be reset. `recorded` holds what else was asked for.
+    left a state that is not finite; they must be reset. `recorded` holds the fields of `record`.
     """
 
     def __init__(
@@ -42,9 +83,9 @@ class SimBatch:
         """Set `count` simulations up in half-sitting at the origin.
 
         Args:
-            scene: what is simulated.
+            scene: the scene.
             count: B.
-            control_period_s: how long `step()` lasts.
+            control_period_s: duration of a `step()`.
             threads: for the physics; the result does not depend on it.
             record: fields of MjData, such as qvel, that `recorded` holds after each `step()` as
                 arrays (B, S, ...), as `sensors` does.
@@ -99,13 +140,13 @@ class SimBatch:
         return None if self._ground is None else self._ground.pose
 
     def push(self, force_world_n: np.ndarray) -> None:
-        """Let forces (B, 3) act on the pelvises until the next call, or until the reset."""
+        """Apply forces (B, 3) to the pelvises until the next call or reset."""
         if self._pushes is None:
             self._pushes = self._batch.bind("xfrc_applied")
         self._pushes[:, self._pelvis, :3] = force_world_n
 
     def variation(self) -> Variation:
-        """The models of the simulations, to be made different from each other."""
+        """Access to the model parameters of each simulation."""
         return Variation(self.scene.model, self._batch)
 
     def step(self, targets_rad: np.ndarray) -> None:
@@ -118,5 +159,5 @@ class SimBatch:
             self.recorded = {name: written[name] for name in self._record[1:]}
         except SimulationError as error:
             self.failed[error.ids] = True
-        # MuJoCo resets a state that is not finite by itself; only the warning tells of it.
+        # MuJoCo itself resets a state that is not finite; only its warning shows that it did.
         self.failed |= self._batch.warning[:, _BAD_STATE, 1].any(axis=1)

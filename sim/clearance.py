@@ -1,4 +1,4 @@
-"""How near the robot came to the walls, measured on MuJoCo's own geoms."""
+"""Clearance between robot and walls, measured on MuJoCo's geoms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FAR_M = 1.0
 def min_clearance_m(scene: Scene, qpos: np.ndarray) -> float | None:
     """Least distance in m between any robot geom and any wall over the states qpos (T, nq).
 
-    Walls further than `FAR_M` from the robot are not looked at; None when none is ever nearer.
+    Walls farther than `FAR_M` from the robot are ignored; None when all are.
     """
     model = scene.model
     data = mujoco.MjData(model)

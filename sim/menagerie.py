@@ -1,4 +1,4 @@
-"""Models of MuJoCo Menagerie made to keep the names and rules of `sim/robot.py`.
+"""Robots from models of MuJoCo Menagerie, with the names and rules of `sim/robot.py`.
 
 They come with the package that the extra `unitree` installs.
 """
@@ -9,11 +9,18 @@ import importlib.resources
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.robot import LEFT_LEG_BITS, RIGHT_LEG_BITS, UPPER_BODY_BITS, VISUAL_GROUP, LegJoint
+from sim.robot import (
+    LEFT_LEG_BITS,
+    RIGHT_LEG_BITS,
+    UPPER_BODY_BITS,
+    VISUAL_GROUP,
+    LegJoint,
+    Robot,
+)
 from sim.solids import Colour, Solid, Vector, add_shape
 
 if TYPE_CHECKING:
@@ -28,13 +35,13 @@ Shapes = Mapping[str, Mapping[str, Solid]]
 
 @dataclass(frozen=True, kw_only=True)
 class MenagerieModel:
-    """A model of Menagerie, and what it takes to make a robot of it.
+    """A model of Menagerie and what it needs to become a robot.
 
-    `file` is such as `unitree_h1/h1.xml`; its bodies are called as `renamed` says, `left_leg` and
-    `right_leg` among them. Joints but `joints` are held at the angle that `held_rad` gives, or
-    else at 0. Bodies and shapes of legs and arms, and `foot`, the body that the sole is under, are
-    named without their side. `sole_m` is the middle of the sole in that body's frame, `head` a
-    body and a place in its frame. `colours` are those of the file's materials.
+    `file` is such as `unitree_h1/h1.xml`. `renamed` maps its body names to ours, `left_leg` and
+    `right_leg` among them. Joints other than `joints` are fixed at the angle in `held_rad`, or 0.
+    Bodies and shapes of legs and arms, and `foot`, the body of the sole, are named without their
+    side. `sole_m` is the middle of the sole in that body's frame, `head` a body and a point in its
+    frame. `colours` are those of the file's materials.
     """
 
     file: str
@@ -49,6 +56,17 @@ class MenagerieModel:
     head: tuple[str, Vector]
     colours: Mapping[str, Colour]
 
+    def robot(self, **facts: Any) -> Robot:
+        """The robot of this model, with the other fields of `Robot`."""
+        return Robot(
+            joints=self.joints,
+            pelvis_pitch_rad=0.0,
+            build=self.build,
+            needs=(PACKAGE, EXTRA),
+            add_meshes=self.add_meshes,
+            **facts,
+        )
+
     def build(self) -> mujoco.MjSpec:
         """The model: bodies and joints from Menagerie, collision shapes of our own."""
         spec = _bodies_and_joints(self)
@@ -62,7 +80,7 @@ class MenagerieModel:
         return spec
 
     def add_meshes(self, spec: mujoco.MjSpec) -> None:
-        """Dresses a spec made by `build` in the model's meshes."""
+        """Adds the model's meshes to a spec made by `build`."""
         import mujoco
 
         source = mujoco.MjSpec.from_file(str(_path(self.file)))
@@ -91,8 +109,8 @@ class MenagerieModel:
 def _bodies_and_joints(model: MenagerieModel) -> mujoco.MjSpec:
     """The model without shapes and servos; its free joint is named `root`.
 
-    Inertias are made the same on both sides: what is called `left_` is mirrored, and the rest
-    keeps to the middle plane.
+    Inertias are made symmetric: those of `left_` bodies are mirrored to the right, the others are
+    projected on the middle plane.
     """
     import mujoco
 
@@ -124,7 +142,7 @@ def _add_shapes(
 
 
 def _path(model: str) -> Path:
-    """Where the model is; the registry sees to it that the package is installed."""
+    """Path of a model; the registry checks that the package is installed."""
     return Path(str(importlib.resources.files(PACKAGE))) / _FOLDER / model
 
 
@@ -144,7 +162,7 @@ def _hold(joint: mujoco.MjsJoint, angle_rad: float) -> None:
 
 
 def _make_symmetric(spec: mujoco.MjSpec) -> None:
-    """Left and right differ in the models by rounding, which a mirrored policy would feel."""
+    """Make inertias symmetric; the models' rounding would disturb a mirrored policy."""
     for body in list(spec.bodies):
         if body.name.startswith("right_"):
             twin = spec.body(body.name.replace("right_", "left_", 1))

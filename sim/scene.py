@@ -1,4 +1,4 @@
-"""Robot, floor and walls put together into one MuJoCo model."""
+"""Scenes: robot, floor and walls in one MuJoCo model."""
 
 from __future__ import annotations
 
@@ -10,11 +10,20 @@ import numpy as np
 
 from maps.grid import OccupancyGrid
 from maps.terraces import terraces_of
-from sim.robot import SURROUNDINGS_BITS, Robot
+from sim.robot import Robot
 from sim.sensors import SIDES, Sensors, add_sensors
-from sim.terrain import MapGround, add_ground, add_treads
+from sim.terrain import (
+    MapGround,
+    add_boxes,
+    add_floor,
+    add_ground,
+    add_treads,
+    yaw_quaternion,
+)
 
 PHYSICS_TIMESTEP_S = 0.001
+WALL_HEIGHT_M = 1.0
+WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
 
 
 def scene_of(
@@ -39,10 +48,6 @@ def scene_of(
     )
 
 
-WALL_HEIGHT_M = 1.0
-WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Walls:
     """Upright boxes on the floor, from a map.
@@ -61,7 +66,7 @@ class Walls:
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """A compiled model, and where its parts lie in MuJoCo's arrays.
+    """A compiled model and the indices of its parts in MuJoCo's arrays.
 
     `joint_qpos` and `joint_qvel` (J,) index the robot's joints, in the order of `robot.joints`;
     the free joint is qpos[0:7] (x, y, z, then quaternion w, x, y, z) and qvel[0:6] (linear in
@@ -88,8 +93,7 @@ class Scene:
         qpos[0] = x + cos * offset_x - sin * offset_y
         qpos[1] = y + sin * offset_x + cos * offset_y
         qpos[2] += ground_m
-        turn = np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
-        mujoco.mju_mulQuat(qpos[3:7], turn, self.standing_qpos[3:7])
+        mujoco.mju_mulQuat(qpos[3:7], yaw_quaternion(yaw), self.standing_qpos[3:7])
         return qpos
 
     def soles_at(self, qpos: np.ndarray) -> np.ndarray:
@@ -124,7 +128,7 @@ def build_scene(
     if treads:
         add_treads(spec)
     else:
-        _add_floor(spec)
+        add_floor(spec.worldbody)
     if ground is not None:
         add_ground(spec, ground)
     _add_walls(spec, walls or Walls())
@@ -178,59 +182,33 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
         actuator.set_to_position(kp=leg_joint.kp, kv=leg_joint.kd)
 
 
-def _add_floor(spec: mujoco.MjSpec) -> None:
-    contype, conaffinity = SURROUNDINGS_BITS
-    spec.worldbody.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.05],
-        contype=contype,
-        conaffinity=conaffinity,
-    )
-
-
 def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
     """All walls in one body named `walls`, which is there also when the map has none."""
-    x, y, yaw = walls.origin
-    body = spec.worldbody.add_body(
-        name="walls", pos=[x, y, 0], quat=[math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
+    count = len(walls.boxes_m)
+    feet_m = np.zeros(count) if walls.feet_m is None else walls.feet_m
+    add_boxes(
+        spec,
+        "walls",
+        np.column_stack([walls.boxes_m, feet_m + WALL_HEIGHT_M]),
+        lowest_m=walls.lowest_m,
+        origin=walls.origin,
+        rgba=np.tile(WALL_RGBA, (count, 1)),
     )
-    contype, conaffinity = SURROUNDINGS_BITS
-    feet_m = np.zeros(len(walls.boxes_m)) if walls.feet_m is None else walls.feet_m
-    for (centre_x, centre_y, half_x, half_y), foot in zip(walls.boxes_m, feet_m, strict=True):
-        half_z = (foot - walls.lowest_m + WALL_HEIGHT_M) / 2
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[centre_x, centre_y, walls.lowest_m + half_z],
-            size=[half_x, half_y, half_z],
-            contype=contype,
-            conaffinity=conaffinity,
-            rgba=WALL_RGBA,
-        )
 
 
 def _add_looks(spec: mujoco.MjSpec) -> None:
     """Sky, light and floor pattern."""
     # Set when the spec comes from a URDF; it would throw textures, materials and meshes away.
     spec.compiler.discardvisual = False
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.75, 0.83, 0.92],
-        rgb2=[0.98, 0.98, 1.0],
-        width=256,
-        height=256,
-    )
-    spec.add_texture(
-        name="floor",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-        rgb1=[0.86, 0.87, 0.88],
-        rgb2=[0.80, 0.81, 0.83],
-        width=256,
-        height=256,
-    )
+    kinds, patterns = mujoco.mjtTexture, mujoco.mjtBuiltin
+    sky, floor = ([0.75, 0.83, 0.92], [0.98, 0.98, 1.0]), ([0.86, 0.87, 0.88], [0.80, 0.81, 0.83])
+    for name, kind, pattern, (rgb1, rgb2) in (
+        ("sky", kinds.mjTEXTURE_SKYBOX, patterns.mjBUILTIN_GRADIENT, sky),
+        ("floor", kinds.mjTEXTURE_2D, patterns.mjBUILTIN_CHECKER, floor),
+    ):
+        spec.add_texture(
+            name=name, type=kind, builtin=pattern, rgb1=rgb1, rgb2=rgb2, width=256, height=256
+        )
     textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
     textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = "floor"
     spec.add_material(name="floor", textures=textures, texrepeat=[1, 1], texuniform=True)

@@ -1,4 +1,4 @@
-"""The named sensors of every scene: all that rewards, reports and termination read.
+"""The named sensors of every scene, for rewards, reports and termination.
 
 Sensors describe the state before the last physics step, as in MuJoCo. Units: m, m/s, N, N m.
 """
@@ -18,10 +18,7 @@ SIDES = ("left", "right")
 
 @dataclass(frozen=True, kw_only=True)
 class Sensors:
-    """Where each sensor lies in `sensordata`, grouped by meaning; left before right.
-
-    Each field is an index array into the last axis of sensordata.
-    """
+    """Indices of each sensor in the last axis of `sensordata`; left before right."""
 
     sole_pos_world: np.ndarray  # (2, 3)
     sole_x_axis_world: np.ndarray  # (2, 3) along the foot

@@ -1,6 +1,6 @@
-"""Solids to build a robot from that comes without meshes: some to be touched, some to be seen.
+"""Solids that robots are built from: collision shapes, and visuals of robots without meshes.
 
-All sizes are in metres, in the frame of the body that the solid belongs to.
+All sizes are in metres, in the frame of the solid's body.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Colour = tuple[float, float, float, float]
 
 
 class Solid:
-    """What all solids can do."""
+    """Base of all solids."""
 
     def mirrored(self) -> Self:
         """The solid of the other side: y negated."""
@@ -29,7 +29,7 @@ class Solid:
 
 @dataclass(frozen=True, kw_only=True)
 class Block(Solid):
-    """An upright block with bevelled edges, of another cross-section below than above.
+    """An upright block with bevelled edges whose cross-section changes from below to above.
 
     `below` and `above` are the centres of its end faces, `size_below` and `size_above` their
     extents along x and y.
@@ -106,7 +106,7 @@ def add_shape(
 
 
 def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, rgba: Colour) -> None:
-    """Adds the solid to the body to be seen: without mass and without contacts."""
+    """Adds the solid to the body as a visual, without mass and contacts."""
     import mujoco
 
     if isinstance(solid, Block):
@@ -120,7 +120,7 @@ def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, rgba: Colo
 
 
 def _primitive(solid: Solid) -> dict[str, Any]:
-    """Arguments of `add_geom` for what MuJoCo has a shape of its own for."""
+    """Arguments of `add_geom` for the primitive shapes of MuJoCo."""
     import mujoco
 
     kinds = mujoco.mjtGeom

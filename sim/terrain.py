@@ -1,7 +1,7 @@
-"""Ground that differs from simulation to simulation: stairs and a floor that can be lowered.
+"""Terrain: the floor, stairs that differ per simulation, and the uneven ground of a map.
 
-The treads are boxes with a body each, parked far below until they are placed. They are mocap
-bodies: where they stand is part of each simulation's state, and resetting it parks them again.
+Treads and landings are boxes, each a mocap body parked far below until it is placed: their poses
+are part of each simulation's state, and a reset parks them again.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FLOOR_BODY = "movable_floor"
 
 @dataclass(frozen=True, kw_only=True)
 class Ground:
-    """Where the ground of one simulation lies.
+    """Poses of the ground of one simulation.
 
     `treads` (n, 4) and `landings` (m, 4) are x_m, y_m, z_m, yaw_rad of the middle of each upper
     face in the world, at most `TREADS` and `LANDINGS` of them. All are solid down to the floor.
@@ -40,14 +40,7 @@ class Ground:
 def add_treads(spec: mujoco.MjSpec) -> None:
     """Put the floor into a body of its own and add the treads and landings, parked."""
     contype, conaffinity = SURROUNDINGS_BITS
-    floor = spec.worldbody.add_body(name=FLOOR_BODY, mocap=True)
-    floor.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.05],
-        contype=contype,
-        conaffinity=conaffinity,
-    )
+    add_floor(spec.worldbody.add_body(name=FLOOR_BODY, mocap=True))
     sizes = {
         "tread": (TREADS, TREAD_DEPTH_M, TREAD_WIDTH_M),
         "landing": (LANDINGS, LANDING_DEPTH_M, LANDING_WIDTH_M),
@@ -101,10 +94,8 @@ class GroundBatch:
         ):
             for body, (x, y, z, yaw) in zip(bodies, poses, strict=False):
                 self._position[row, body] = x, y, z - BLOCK_HEIGHT_M / 2
-                self._quaternion[row, body] = math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)
+                self._quaternion[row, body] = yaw_quaternion(yaw)
 
-
-# Ground that is not flat, from a map: boxes that stand on the floor and are walked upon.
 
 _LOW_RGB, _HIGH_RGB = np.array([0.83, 0.84, 0.85]), np.array([0.80, 0.70, 0.56])
 
@@ -124,22 +115,64 @@ class MapGround:
 
 
 def add_ground(spec: mujoco.MjSpec, ground: MapGround) -> None:
-    """Lower the floor and put the boxes on it; the higher the browner."""
+    """Lower the floor and add the boxes, browner with height."""
     spec.geom("floor").pos = [0, 0, ground.lowest_m]
-    x, y, yaw = ground.origin
-    quat = [math.cos(yaw / 2), 0, 0, math.sin(yaw / 2)]
-    body = spec.worldbody.add_body(name="ground", pos=[x, y, 0], quat=quat)
+    heights_m = ground.boxes_m[:, 4:] - ground.lowest_m
+    share = heights_m / max(heights_m.max(initial=0.0), 1e-9)
+    rgb = (1 - share) * _LOW_RGB + share * _HIGH_RGB
+    add_boxes(
+        spec,
+        "ground",
+        ground.boxes_m,
+        lowest_m=ground.lowest_m,
+        origin=ground.origin,
+        rgba=np.column_stack([rgb, np.ones(len(rgb))]),
+        geom_prefix=GROUND_PREFIX,
+    )
+
+
+def add_boxes(
+    spec: mujoco.MjSpec,
+    name: str,
+    boxes_m: np.ndarray,
+    *,
+    lowest_m: float,
+    origin: tuple[float, float, float],
+    rgba: np.ndarray,
+    geom_prefix: str | None = None,
+) -> None:
+    """Add static boxes (n, 5), as of `MapGround`, in a body of that name; rgba (n, 4).
+
+    All reach down to `lowest_m`. The body is there also when there are no boxes.
+    """
+    x, y, yaw = origin
+    body = spec.worldbody.add_body(name=name, pos=[x, y, 0], quat=yaw_quaternion(yaw))
     contype, conaffinity = SURROUNDINGS_BITS
-    highest_m = max(ground.boxes_m[:, 4], default=ground.lowest_m)
-    for number, (centre_x, centre_y, half_x, half_y, top) in enumerate(ground.boxes_m):
-        share = (top - ground.lowest_m) / (highest_m - ground.lowest_m)
-        half_z = (top - ground.lowest_m) / 2
+    for number, (centre_x, centre_y, half_x, half_y, top) in enumerate(boxes_m):
+        half_z = (top - lowest_m) / 2
         body.add_geom(
-            name=f"{GROUND_PREFIX}{number}",
+            name=f"{geom_prefix}{number}" if geom_prefix else "",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[centre_x, centre_y, ground.lowest_m + half_z],
+            pos=[centre_x, centre_y, lowest_m + half_z],
             size=[half_x, half_y, half_z],
             contype=contype,
             conaffinity=conaffinity,
-            rgba=(*((1 - share) * _LOW_RGB + share * _HIGH_RGB), 1.0),
+            rgba=rgba[number],
         )
+
+
+def add_floor(body: mujoco.MjsBody) -> None:
+    """Add the floor, a plane, to a body."""
+    contype, conaffinity = SURROUNDINGS_BITS
+    body.add_geom(
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        contype=contype,
+        conaffinity=conaffinity,
+    )
+
+
+def yaw_quaternion(yaw_rad: float) -> np.ndarray:
+    """Quaternion w, x, y, z of a rotation about z."""
+    return np.array([math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2)])

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import re
+import subprocess
+import sys
 import warnings
+from pathlib import Path
 
+import cv2
 import gymnasium
 import numpy as np
 import pytest
@@ -14,7 +21,10 @@ from gymnasium.vector import AutoresetMode
 from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.gym_env import WalkVectorEnv, environment_id
+from controller.gym_render import COLOURS
 from controller.policy import load_policy
+from planner.robot_model import Side
+from sim.gl import NO_GL
 from sim.robots import get_robot, robot_names
 
 JVRC1 = "Footfall/Jvrc1-v0"
@@ -38,7 +48,7 @@ def test_every_robot_passes_gymnasiums_own_check(robot):
     env = gymnasium.make(environment_id(robot)).unwrapped
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        # Pictures need a GL library: tests/test_gymnasium_pictures.py.
+        # Pictures need a GL library: tests/test_gymnasium.py.
         check_env(env, skip_render_check=True)
     told = [str(warning.message) for warning in caught]
     # Actions are in rad, as the policy gives them.
@@ -181,3 +191,117 @@ def test_actions_beyond_their_bounds_act_as_those_at_the_bounds():
         env.reset(seed=0)
         seen.append(env.step(np.full(12, offset))[0])
     assert np.array_equal(*seen)
+
+
+# The code in docs/gymnasium.md, run as it stands.
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = (ROOT / "docs" / "gymnasium.md").read_text(encoding="utf-8")
+PIECES = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("stable_baselines3") is None,
+    reason="stable-baselines3 is not installed: it comes with the extra `test`",
+)
+@pytest.mark.parametrize("piece", PIECES, ids=["one robot", "many robots"])
+def test_stable_baselines3_learns_on_it_for_a_few_updates(piece):
+    assert ".learn(total_timesteps=" in piece
+    code = f"{piece}\nprint(learner.num_timesteps, learner._n_updates)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    steps, updates = map(int, done.stdout.split())
+    assert steps >= 128
+    assert updates >= 2
+
+
+# Gymnasium's `render`, drawn in a process of its own where a GL library is.
+
+DRAW = """
+import sys
+import cv2
+import gymnasium
+import numpy as np
+from gymnasium.utils.env_checker import check_env
+import controller.gym_env
+from controller.curriculum import Stage
+from controller.env import TaskConfig
+from sim.gl import NoGlError
+
+EXACT = TaskConfig(exact_rise=True)
+id = "Footfall/Jvrc1-v0"
+try:
+    env = gymnasium.make(id, render_mode="rgb_array", mode="standing")
+except NoGlError as error:
+    sys.exit(str(error))
+env.reset(seed=0)
+pictures = [env.render()]
+fold = np.array([-1.0, 0, 0, 2.0, 0, -1.0] * 2)
+terminated = False
+while not terminated:
+    _, _, terminated, _, _ = env.step(fold)
+pictures.append(env.render())
+env.reset(seed=0)
+pictures.append(env.render())
+env.close()
+envs = gymnasium.make_vec(id, num_envs=2, render_mode="rgb_array", mode="standing")
+envs.reset(seed=1)
+pictures += envs.render()
+envs.close()
+climber = gymnasium.make(
+    id, render_mode="rgb_array", mode="stairs_up", stage=Stage(rise_m=0.15), config=EXACT
+)
+climber.reset(seed=0)
+pictures.append(climber.render())
+climber.close()
+cv2.imwrite(sys.argv[1], np.stack(pictures).reshape(-1, 640, 3))
+check_env(gymnasium.make(id).unwrapped)
+"""
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory) -> np.ndarray:
+    """Standing, fallen, standing again, two others, before stairs: (6, 480, 640, 3)."""
+    path = tmp_path_factory.mktemp("drawn") / "all.png"
+    # MuJoCo is not told of a GL library here, as with somebody who has set nothing.
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    drawing = subprocess.run(
+        [sys.executable, "-c", DRAW, str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=Path(__file__).resolve().parent.parent,
+        env=environment,
+    )
+    if drawing.returncode == 1 and drawing.stderr.strip() == NO_GL:
+        pytest.skip(NO_GL)
+    assert drawing.returncode == 0, drawing.stderr
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    return picture.reshape(-1, 480, 640, 3)
+
+
+def test_a_picture_shows_the_robot_and_both_steps(pictures):
+    assert len(pictures) == 6
+    standing = pictures[0].astype(int)
+    for side in Side:
+        colour = 255 * np.array(COLOURS[side][:3])
+        assert (np.abs(standing - colour).max(axis=2) < 40).sum() > 20, side
+
+
+def test_the_last_picture_of_an_episode_shows_how_it_ended(pictures):
+    standing, fallen, again = pictures[:3].astype(int)
+    assert np.abs(standing - again).max() <= 2  # software GL may round a pixel otherwise
+    assert (np.abs(standing - fallen).max(axis=2) > 40).sum() > 1000
+
+
+def test_every_robot_of_a_vector_is_drawn(pictures):
+    assert (pictures[3] != pictures[4]).any()
+
+
+def test_stairs_are_drawn(pictures):
+    # The treads' colour in light, blue green red; nothing else is brown.
+    blue, green, red = pictures[5].astype(int).transpose(2, 0, 1)
+    assert ((red - blue > 15) & (red - green < 20) & (red > 60)).sum() > 5000

@@ -1,6 +1,6 @@
-"""What a recorded walk says of a gait: loads, symmetry, ground forces, posture, transport cost.
+"""Gait metrics of recorded walks: joint loads, symmetry, ground forces, posture, transport cost.
 
-Pure functions of a `WalkRecord`; robots that fell are to be left out before (`of_upright`).
+Metrics are pure functions of a `WalkRecord` without the robots that fell (`of_upright`).
 """
 
 from __future__ import annotations
@@ -18,8 +18,6 @@ from controller.step_cursor import StepSequence
 from controller.step_sequences import chain_steps
 from planner.robot_model import Side
 from sim.robot import Robot
-
-# Walks recorded at the physics rate: joint torques and speeds, ground forces, the gait's phase.
 
 Step = tuple[float, float, float]
 
@@ -52,15 +50,12 @@ class WalkRecord:
         return self.torque_nm.shape[1] // self.indicator.shape[1]
 
     def of_upright(self) -> WalkRecord:
-        """The walks in which the robot did not fall."""
+        """The walks without a fall."""
         chosen = {name: getattr(self, name)[self.upright] for name in _PER_ROBOT}
         return WalkRecord(timestep_s=self.timestep_s, **chosen)
 
     def steady(self, ticks: GaitTicks) -> WalkRecord:
-        """The walks after three steps, from one moment of the gait to the same in a later cycle.
-
-        The body sways once a cycle: between any two moments it has come nearer or farther.
-        """
+        """The walks after three steps, over whole gait cycles, in which the body's sway cancels."""
         start, cycle = 3 * ticks.step, 2 * ticks.step
         end = start + (self.indicator.shape[1] - 1 - start) // cycle * cycle + 1
         every = self.substeps
@@ -89,8 +84,8 @@ def record_walk(
     """`count` robots that repeat one step, half of them beginning with the left foot.
 
     The step is (x_m, y_m, yaw_rad) of the swing foot in the support foot's frame, y and yaw
-    outward, as in `StepModel.steps`. Where it leads sideways or turns, the feet take turns: one
-    takes the step, the other follows to the stance width.
+    outward, as in `StepModel.steps`. In sideways and turning walks one foot takes the step and
+    the other follows to the stance width.
     """
     steps = int(seconds / robot.gait.step_s) + 2
 
@@ -129,7 +124,7 @@ def record_walk(
 
 
 def repeat_step(step: Step, stance_width_m: float, steps: int) -> np.ndarray:
-    """Steps (steps, 3) of a walk that goes on in one manner; see `record_walk`."""
+    """Steps (steps, 3) of a walk that repeats one step; see `record_walk`."""
     x_m, y_m, yaw_rad = step
     follows = (x_m, stance_width_m, 0.0) if y_m != stance_width_m or yaw_rad else step
     return np.array([(step, follows)[k % 2] for k in range(steps)])
@@ -153,7 +148,7 @@ def joint_loads(record: WalkRecord, robot: Robot) -> list[dict[str, Any]]:
 
 
 def asymmetry(left: float, right: float) -> float:
-    """Difference of the two sides over their mean: 0 for alike, 2 where one side does nothing."""
+    """Difference of the two sides over their mean: 0 for equal, 2 if one is zero."""
     mean = (left + right) / 2
     return abs(left - right) / mean if mean else 0.0
 
@@ -175,10 +170,9 @@ class GaitCycleCurves:
 def gait_cycle_curves(
     record: WalkRecord, values: np.ndarray, ticks: GaitTicks, *, bins: int
 ) -> GaitCycleCurves:
-    """Values (B, N, 2) at the physics rate, gathered by the phase of the gait.
+    """Values (B, N, 2) at the physics rate, binned by the phase of the gait.
 
-    Each cycle counts once in a bin, with the mean of its values there; what lies outside whole
-    cycles counts where it falls.
+    Each cycle, also an incomplete one, counts once per bin, with its mean there.
     """
     substeps = record.substeps
     walking = record.cycle_tick >= 0
@@ -220,7 +214,7 @@ def in_contact(record: WalkRecord, mass_kg: float) -> np.ndarray:
 
 
 def contact_agreement(record: WalkRecord, mass_kg: float) -> float:
-    """Share of the time outside the ramps in which contact is what the phase indicator asks for.
+    """Share of the time outside the ramps in which contact agrees with the support indicator.
 
     A foot whose indicator is +1 should be in contact, one at -1 should not (Singh et al. 2022,
     sec. IV-C); nan where there is no such time.
@@ -232,7 +226,7 @@ def contact_agreement(record: WalkRecord, mass_kg: float) -> float:
 
 
 def swing_lags(record: WalkRecord, mass_kg: float, ticks: GaitTicks) -> tuple[float, float]:
-    """Medians, in seconds, by which feet lift off and touch down later than the clock says.
+    """Median delays, in seconds, of lift-off and touchdown from the gait clock.
 
     Lift-off is the first moment of a swing without contact, touch-down the first with contact
     after its middle; nan where there is no whole swing.
@@ -257,10 +251,9 @@ def _median_s(steps: list[int], timestep_s: float) -> float:
 
 
 def posture(record: WalkRecord) -> dict[str, float]:
-    """How upright the robot walks and how high it lifts its feet.
+    """Median and lowest pelvis height above the lower sole, median and highest foot lift.
 
-    `pelvis_m_median` and `_lowest`: the pelvis above the lower sole; `foot_lift_m_median` and
-    `_highest`: of the highest that each foot was above the floor in each walk.
+    The foot lift is the greatest height of a foot above the floor in each walk.
     """
     lift_m = record.sole_height_m.max(axis=1)
     return {
@@ -272,16 +265,13 @@ def posture(record: WalkRecord) -> dict[str, float]:
 
 
 def mechanical_work_j(record: WalkRecord) -> np.ndarray:
-    """Absolute work (B,) of all servos: what brakes costs as much as what drives.
-
-    Counted from where `distance_m` is: the end of the first control step.
-    """
+    """Absolute work (B,) of all servos, braking included, after the first control step."""
     power_w = np.abs(record.torque_nm * record.joint_speed_rad_s).sum(axis=2)
     return np.asarray(power_w[:, record.substeps :].sum(axis=1) * record.timestep_s)
 
 
 def distance_m(record: WalkRecord) -> np.ndarray:
-    """How far (B,) each pelvis came, as the crow flies."""
+    """Straight distance (B,) that each pelvis moved."""
     way = record.pelvis_xy_world[:, -1] - record.pelvis_xy_world[:, 0]
     return np.linalg.norm(way, axis=1)
 

@@ -1,4 +1,4 @@
-"""Push recovery: walking robots shoved at the pelvis, and how many stay on their feet."""
+"""Push recovery: the share of walking robots that stay upright after a push at the pelvis."""
 
 from __future__ import annotations
 
@@ -59,10 +59,9 @@ def push_recovery(
     seed: int,
     threads: int = 1,
 ) -> list[float]:
-    """Share of `count` robots that are on their feet at the end, per impulse.
+    """Share of `count` robots that are upright at the end, per impulse.
 
-    All walk straight forward (the world's x) and are pushed once, at a moment drawn over a whole
-    gait cycle, so that every phase of both feet has its turn.
+    All walk straight along the world's x and are pushed once, at a time uniform over a gait cycle.
     """
     rng = np.random.default_rng(seed)
     cycle_s = 2 * robot.gait.step_s

@@ -1,7 +1,7 @@
-"""Batches of robots that walk given sequences from a stand, watched tick by tick.
+"""Rollouts for evaluation: batches of robots that follow given step sequences from a stand.
 
-Reports are measured on these walks; training and its assessment have episodes of their own
-(controller/env.py). The physics runs at the rate of navigation.
+The physics runs at the rate of navigation. Training and its assessment have their own episodes
+(controller/env.py).
 """
 
 from __future__ import annotations
@@ -21,28 +21,27 @@ PHYSICS_TIMESTEP_S = 0.001
 AT_ONCE = 250
 JOINT_NOISE_RAD = 0.02
 LONGEST_WAIT_TICKS = 20
-# Sets these walks apart from the episodes of training, whose seeds are pairs.
+# Makes the seeds differ from those of training, which are pairs.
 _HELD_OUT = 20_220_712
 
-# Gives robot `row` its sequence; told the random generator, the row and where its feet are (2, 4).
+# Draws the sequence of robot `row` from a generator, the row and the start feet (2, 4).
 DrawStepSequence = Callable[[np.random.Generator, int, np.ndarray], StepSequence]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ControlStep:
-    """What one control step of B robots gave; arrays are (B, ...), left before right.
+    """Results of one control step of B robots; arrays are (B, ...), left before right.
 
-    Robots that have fallen are not `upright` from then on; they are set down anew and stand, so
-    that they cost the others nothing.
+    Robots that have fallen are not `upright` from then on; they are reset and stand.
     """
 
     number: int
     upright: np.ndarray
     landed: np.ndarray  # a step's period has just ended, and the robot is upright
     entry: np.ndarray  # of the step under way in its sequence: STANCE + k for step k
-    asked_world: np.ndarray  # (B, 4) where that step was asked for
-    placed_world: np.ndarray  # (B, 4) where its foot is now
-    indicator: np.ndarray  # (B, 2) how much each foot should have borne weight
+    asked_world: np.ndarray  # (B, 4) target of that step
+    placed_world: np.ndarray  # (B, 4) its foot now
+    indicator: np.ndarray  # (B, 2) support indicator
     cycle_tick: np.ndarray  # control ticks since the right foot's lift-off, -1 while standing
 
 
@@ -55,7 +54,7 @@ def start_walks(
     threads: int = 1,
     record: tuple[str, ...] = (),
 ) -> Walker:
-    """`count` robots in half-sitting, a little off it, each about to walk its own sequence."""
+    """`count` robots near half-sitting, each before its own sequence."""
     scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
     walker = Walker(scene, count=count, threads=threads, record=record)
     feet = scene.soles_at(scene.standing_qpos)
@@ -70,7 +69,7 @@ def start_walks(
 
 
 def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[ControlStep]:
-    """Let all walk for so many control steps; gives each step when it is done."""
+    """Run `ticks` control steps and yield the results of each."""
     rows = np.arange(walker.sim.count)
     upright = np.ones(len(rows), dtype=bool)
     cursor = walker.cursor
@@ -96,14 +95,14 @@ def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[ControlStep]:
 
 
 def portions(count: int, seed: int) -> Iterator[tuple[range, np.random.SeedSequence]]:
-    """The rows 0 to count - 1 in portions that fit the memory, each with a seed of its own."""
+    """Rows 0 to count - 1 in portions of `AT_ONCE`, each with its own seed."""
     for first in range(0, count, AT_ONCE):
         rows = range(first, min(first + AT_ONCE, count))
         yield rows, np.random.SeedSequence([_HELD_OUT, seed, first])
 
 
 def _set_down(walker: Walker, row: int) -> None:
-    """A robot that has fallen, standing again where it started."""
+    """Reset a fallen robot to standing at its start."""
     scene = walker.scene
     walker.place(row, scene.standing_qpos)
     feet = scene.soles_at(scene.standing_qpos)

@@ -1,4 +1,4 @@
-"""How well a policy takes each kind of step, and within which limits it takes them all.
+"""Step limits of a policy: success per kind of step, widest limits it keeps, and body sway.
 
 Walks are 10 s long. Steps are (x_m, y_m, yaw_rad) in the support foot's frame, y and yaw outward.
 """
@@ -17,15 +17,10 @@ from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import chain_steps, clip_to_limits
-from planner.plan import pair_pose
+from planner.plan import pair_pose, wrap_angle
 from planner.robot_model import BodyShape, Side, StepLimits, StepModel
 from sim.robot import PHYSICS_GROUP, Robot
 from sim.scene import Scene
-
-# Step limits that a policy keeps to: the widest box of steps in which its walks succeed.
-#
-# The search begins with the limits trained on. Where too many walks fall, the corner of the box at
-# which most do is cut back a little, on the side where planning loses least, and so on.
 
 AXES = ("x_m", "y_m", "yaw_rad")
 CUT = {"x_m": 0.02, "y_m": 0.01, "yaw_rad": 0.03}
@@ -34,7 +29,7 @@ MOST_CUTS = 30
 
 @dataclass(frozen=True, kw_only=True)
 class LimitTrial:
-    """How walks within some limits went: `fell` (8,) of `walked` (8,) that touched each corner.
+    """Results of walks within limits: `fell` (8,) of `walked` (8,) that touched each corner.
 
     Corners are in the order of `limit_corners`.
     """
@@ -62,13 +57,15 @@ def search_limits(
     *,
     success: float,
 ) -> list[LimitTrial]:
-    """All trials, the last with at least so much success unless nothing is left to cut.
+    """All trials; the last has the required success unless nothing is left to cut.
+
+    While too many walks fall, the corner with the most falls is cut back by one step of `CUT`.
 
     Args:
-        model: whose step set planning would rather keep, and whose stance stays inside.
-        widest: where to begin.
-        walk: lets robots walk within limits.
-        success: the share of walks without a fall that is enough.
+        model: its step set is kept as far as possible, its stance stays inside.
+        widest: the first limits tried.
+        walk: runs walks within limits.
+        success: required share of walks without a fall.
     """
     trials = [walk(widest)]
     while trials[-1].success < success and len(trials) <= MOST_CUTS:
@@ -82,7 +79,7 @@ def search_limits(
 def cut_back(limits: StepLimits, corner: int, model: StepModel) -> StepLimits | None:
     """The limits with one side of a corner moved inwards; None where the corner is the stance.
 
-    That side is chosen which loses the fewest steps of the set, then the smallest part of its
+    The side is the one that loses the fewest steps of the set, then the smallest share of its
     range.
     """
     stance = (0.0, model.stance_width_m, 0.0)
@@ -104,15 +101,15 @@ def cut_back(limits: StepLimits, corner: int, model: StepModel) -> StepLimits | 
 
 
 LIMITS_WALK_S = 10.0
-# Whether each step of (n, 3) is one that the feet can stand in.
+# Whether the feet can stand in each step of (n, 3).
 IsFeasible = Callable[[np.ndarray], np.ndarray]
-# Gives steps (n, 3) of one walk, told how many and which robot's they are; and which of them count.
+# Draws n steps (n, 3) of one walk from a generator, n and the robot's row; and which of them count.
 DrawSteps = Callable[[np.random.Generator, int, int], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StepWalks:
-    """B walks: which robots stayed `upright` (B,), and each landing that counts.
+    """Results of B walks: robots that stayed `upright` (B,), and each landing that counts.
 
     Per landing (N,): `robot`, horizontal `error_m`, `heading_error_rad` (not negative).
     """
@@ -135,7 +132,7 @@ def walk_steps(
 ) -> StepWalks:
     """Let `count` robots walk steps that are drawn anew for each.
 
-    They walk in portions; once more than `falls_at_most` have fallen, the rest is left out.
+    They walk in portions; once more than `falls_at_most` have fallen, the rest is skipped.
     """
     parts: list[StepWalks] = []
     for rows, part_seed in portions(count, seed):
@@ -173,7 +170,7 @@ def _walk_portion(
         off = (tick.placed_world - tick.asked_world)[landed]
         who.append(rows[0] + landed)
         error_m.append(np.hypot(off[:, 0], off[:, 1]))
-        heading.append(np.abs((off[:, 3] + np.pi) % (2 * np.pi) - np.pi))
+        heading.append(np.abs(wrap_angle(off[:, 3])))
     return StepWalks(
         upright=upright,
         robot=np.concatenate(who),
@@ -232,12 +229,11 @@ def walk_within(
     threads: int = 1,
     falls_at_most: int | None = None,
 ) -> tuple[StepWalks, LimitTrial]:
-    """Walks within limits, and how they went at each corner of these.
+    """Walks within limits, and their falls at each corner of the limits.
 
-    They begin with two steps on corners, which are hardest, and which plans touch where they join
-    the robot's stance to their lattice; a corner that the polygon cuts off is drawn in to its edge.
-    They go on with steps anywhere within the limits or, half
-    of them, of the planner's set.
+    They begin with two steps at corners, the hardest, which plans also take where they join the
+    stance to the lattice; corners are clipped to the polygon. Further steps are half uniform within
+    the limits, half of the planner's set.
     """
     corners = clip_to_limits(limit_corners(limits), limits, robot.step_model.stance_width_m)
     usable = np.flatnonzero(possible(corners))
@@ -296,16 +292,15 @@ def step_grid(limits: StepLimits, stance_width_m: float, possible: IsFeasible) -
     return grid[possible(grid)]
 
 
-# How far a walking body reaches beyond the boxes that its plan was checked with.
-#
-# The planner keeps a box around each pair of feet off the walls, grown by `body_margin_m`. A body
-# sways beyond that box; the margin must cover how far.
-
 FEET = ("left_foot", "right_foot")
 
 
 class BodySway:
-    """Measures the reach of every collision shape above the feet, robot by robot."""
+    """Measures how far the collision shapes above the feet leave the plan's body boxes.
+
+    The planner keeps a box around each pair of feet off the walls, grown by `body_margin_m`,
+    which must cover this sway.
+    """
 
     def __init__(self, scene: Scene, body: BodyShape):
         self._model, self._body = scene.model, body
@@ -319,18 +314,18 @@ class BodySway:
         self.names = [model.geom(k).name for k in self._geoms]
 
     def beyond_m(self, qpos: np.ndarray, stances: np.ndarray) -> np.ndarray:
-        """How far each shape (G,) leaves the nearest of some boxes; negative is within.
+        """Distance (G,) of each shape beyond the nearest box; negative is within.
 
         Args:
             qpos: the robot's state (nq,).
-            stances: both feet (n, 2, 4) of each stance that the plan was checked at nearby.
+            stances: both feet (n, 2, 4) of each stance of the plan nearby.
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         return np.min([self._beyond_box(pair_pose(feet)) for feet in stances], axis=0)
 
     def _beyond_box(self, pose: np.ndarray) -> np.ndarray:
-        """How far each shape (G,) leaves the box at a pair pose (3,), along its farther axis."""
+        """Distance (G,) of each shape beyond the box at a pair pose (3,), greater of two axes."""
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0]])
         half = np.array([self._body.length_m, self._body.width_m]) / 2

@@ -4,14 +4,14 @@ Masses, inertias, axes, joint ranges, torque limits, rotor inertia and friction 
 model `unitree_g1` of MuJoCo Menagerie; speed limits those of Unitree's own description of the
 robot (unitreerobotics/unitree_ros at 1ab5f1e, g1_29dof_rev_1_0.urdf). Ours are the servo gains
 (those of JVRC-1 by the mass), half-sitting, the capsules and boxes, estimated from the bounds of
-the meshes and the contact points of the model's feet, and what the planner is told.
+the meshes and the contact points of the model's feet, and the step model.
 """
 
 from __future__ import annotations
 
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
-from sim.menagerie import EXTRA, PACKAGE, MenagerieModel, Shapes
-from sim.robot import GaitTiming, Robot, both_legs
+from sim.menagerie import MenagerieModel, Shapes
+from sim.robot import GaitTiming, both_legs
 from sim.solids import Box, Rod
 
 FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.18, 0.07, 0.02
@@ -90,7 +90,7 @@ MODEL = MenagerieModel(
     colours={"black": (0.16, 0.17, 0.19, 1.0), "metal": (0.82, 0.83, 0.85, 1.0)},
 )
 
-ROBOT = Robot(
+ROBOT = MODEL.robot(
     name="g1",
     title="Unitree G1",
     step_model=StepModel(
@@ -108,13 +108,8 @@ ROBOT = Robot(
         body_margin_m=0.06,
     ),
     gait=GaitTiming(single_support_s=0.65, double_support_s=0.3),
-    joints=MODEL.joints,
     mass_kg=33.34,
     height_m=1.32,
     pelvis_height_m=0.757,
-    pelvis_pitch_rad=0.0,
     fallen_height_m=0.56,
-    build=MODEL.build,
-    needs=(PACKAGE, EXTRA),
-    add_meshes=MODEL.add_meshes,
 )

@@ -3,7 +3,7 @@
 Masses, inertias, axes, joint ranges, torque limits, rotor inertia and damping are those of the
 model `unitree_h1` of MuJoCo Menagerie; speed limits those of Unitree's own description of the
 robot (unitreerobotics/unitree_ros at 34e7506, h1.urdf). Ours are the servo gains, half-sitting, the
-capsules and boxes, estimated from the bounds of the meshes, and what the planner is told.
+capsules and boxes, estimated from the bounds of the meshes, and the step model.
 
 The ankle has no roll: with the feet not 0.41 m apart, as the hips are, the soles lean: by up to 3.3
 degrees in the step set, and 7 at the corners of the step limits.
@@ -12,8 +12,8 @@ degrees in the step set, and 7 at the corners of the step limits.
 from __future__ import annotations
 
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
-from sim.menagerie import EXTRA, PACKAGE, MenagerieModel, Shapes
-from sim.robot import GaitTiming, Robot, both_legs
+from sim.menagerie import MenagerieModel, Shapes
+from sim.robot import GaitTiming, both_legs
 from sim.solids import Box, Rod
 
 FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.22, 0.08, 0.02
@@ -87,7 +87,7 @@ MODEL = MenagerieModel(
     colours={"black": (0.16, 0.17, 0.19, 1.0), "white": (0.92, 0.92, 0.93, 1.0)},
 )
 
-ROBOT = Robot(
+ROBOT = MODEL.robot(
     name="h1",
     title="Unitree H1",
     step_model=StepModel(
@@ -105,14 +105,9 @@ ROBOT = Robot(
         body_margin_m=0.08,
     ),
     gait=GaitTiming(single_support_s=0.5, double_support_s=0.2),
-    joints=MODEL.joints,
     mass_kg=51.44,
     height_m=1.80,
     pelvis_height_m=0.9863,
-    pelvis_pitch_rad=0.0,
     fallen_height_m=0.75,
-    build=MODEL.build,
-    needs=(PACKAGE, EXTRA),
-    add_meshes=MODEL.add_meshes,
     training_limits=StepLimits(x_m=(-0.20, 0.32), y_m=(0.31, 0.47), yaw_rad=(-0.17, 0.33)),
 )
