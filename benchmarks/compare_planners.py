@@ -5,7 +5,7 @@ pieces of furniture each. Start and goal are random free poses at least half a s
 planner makes a first plan, and one with its default effort; every plan is checked by exact
 polygons. Times are CPU time of this one thread from the map to the plan, with distance field and
 heuristic; compiling and the tables of the robot come before. Costs are relative to the least cost
-that any planner found for the query.
+found by any planner for the query.
 """
 
 from __future__ import annotations
@@ -93,19 +93,28 @@ def draw_queries(grid: OccupancyGrid, count: int, seed: int) -> list[tuple[Pose,
     return queries
 
 
+def compile_planner(options: PlannerOptions) -> None:
+    """Compiles a planner and makes the tables of the robot, on a small map."""
+    small = office(2 * _ROOM_M, options.seed)
+    start, goal = draw_queries(small, 1, options.seed)[0]
+    Planner(small, ROBOT, options).plan(start=start, goal=goal)
+
+
 def measure(
     grid: OccupancyGrid, queries: list[tuple[Pose, Pose]], options: PlannerOptions
 ) -> np.ndarray:
-    """CPU time in seconds and cost in metres (n, 2) of the queries' plans; no cost without one."""
-    small = office(2 * _ROOM_M, options.seed)
-    start, goal = draw_queries(small, 1, options.seed)[0]
-    Planner(small, ROBOT, options).plan(start=start, goal=goal)  # compiles
+    """CPU time in s, cost in m (nan without a plan), expansions and proven bound (n, 4).
+
+    Each query has a planner of its own; faults of plans are printed.
+    """
     rows = []
     for start, goal in queries:
         began = time.process_time()
         plan = Planner(grid, ROBOT, options).plan(start=start, goal=goal)
         spent_s = time.process_time() - began
-        rows.append((spent_s, plan.cost_m if plan.found else math.nan))
+        rows.append(
+            (spent_s, plan.cost_m if plan.found else math.nan, plan.expansions, plan.epsilon)
+        )
         faults = violations(plan, grid, ROBOT) if plan.found else [plan.reason]
         for fault in faults[:1]:
             print(f"{options.name} from {start} to {goal}: {fault}", file=sys.stderr)
@@ -127,6 +136,7 @@ def main() -> None:
                 seed=arguments.seed,
                 refine=False,
             )
+            compile_planner(options)
             rows[name, first] = measure(grid, queries, options)
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(f"{name}: {peak:.0f} MB", file=sys.stderr)
@@ -138,7 +148,7 @@ def main() -> None:
     for name in arguments.names:
         columns = []
         for first in (True, False):
-            spent_s, cost_m = rows[name, first].T
+            spent_s, cost_m = rows[name, first].T[:2]
             median, p95 = np.percentile(spent_s * 1e3, (50, 95))
             columns.append(f"{median:.0f} / {p95:.0f} | {np.nanmedian(cost_m / least_m):.2f}")
         found = int(np.isfinite(rows[name, False][:, 1]).sum())

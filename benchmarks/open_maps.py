@@ -1,7 +1,7 @@
 """First plans of several searches on large open maps: `python -m benchmarks.open_maps`.
 
-Two square maps are drawn from the seed. `boxes` has a box of 0.2 to 1.5 m for every so many square
-metres, and start and goal at least half a side apart. `detour` is empty but for walls right across
+Two square maps are drawn from the seed. `boxes` has one box of 0.2 to 1.5 m per --box-area-m2 of
+floor, and start and goal at least half a side apart. `detour` is empty but for walls right across
 it that leave a door of 1.2 m at alternating ends, and start and goal on either side of one or more
 of them. Every query is planned once by each planner, to its first plan, by a planner that has not
 seen the map; every plan is checked by exact polygons. Times are CPU time of this one thread from
@@ -12,20 +12,14 @@ before. Costs are relative to those of the first planner.
 from __future__ import annotations
 
 import math
-import sys
-import time
 from dataclasses import dataclass
 
 import numpy as np
 import tyro
 
-from benchmarks.compare_planners import draw_queries
-from benchmarks.planner import ROBOT
+from benchmarks.compare_planners import compile_planner, draw_queries, measure
 from maps.grid import Cell, OccupancyGrid
 from planner.options import PlannerOptions
-from planner.plan import Pose
-from planner.planner import Planner
-from planner.verify import violations
 
 _CELL_M, _DOOR_M, _WALL_CELLS = 0.05, 1.2, 3
 
@@ -70,24 +64,8 @@ def with_walls(side_m: float, walls: int) -> OccupancyGrid:
     return OccupancyGrid(cells=cells, resolution_m=_CELL_M)
 
 
-def measure(
-    grid: OccupancyGrid, queries: list[tuple[Pose, Pose]], options: PlannerOptions
-) -> np.ndarray:
-    """CPU time in s, expansions, cost in m and proven bound (n, 4) of the queries' first plans."""
-    rows = []
-    for start, goal in queries:
-        began = time.process_time()
-        plan = Planner(grid, ROBOT, options).plan(start=start, goal=goal)
-        spent_s = time.process_time() - began
-        rows.append((spent_s, plan.expansions, plan.cost_m if plan.found else np.nan, plan.epsilon))
-        faults = violations(plan, grid, ROBOT) if plan.found else [plan.reason]
-        for fault in faults[:1]:
-            print(f"{options.name} from {start} to {goal}: {fault}", file=sys.stderr)
-    return np.array(rows)
-
-
 def draw_maps(arguments: Arguments) -> dict[str, OccupancyGrid]:
-    """The maps that are asked for, by name; ValueError for a name that is none."""
+    """The maps of the arguments by name. Raises ValueError for an unknown name."""
     drawn = {
         "boxes": with_boxes(arguments.side_m, arguments.box_area_m2, arguments.seed),
         "detour": with_walls(arguments.side_m, arguments.walls),
@@ -96,12 +74,6 @@ def draw_maps(arguments: Arguments) -> dict[str, OccupancyGrid]:
         if name not in drawn:
             raise ValueError(f"map {name!r} must be one of {', '.join(drawn)}")
     return {name: drawn[name] for name in arguments.maps}
-
-
-def compile_first(options: PlannerOptions) -> None:
-    """Has everything compiled, and the tables of the robot made, on a small map."""
-    grid = with_walls(6.0, 1)
-    Planner(grid, ROBOT, options).plan(start=(1.0, 3.0, 0.0), goal=(5.0, 3.0, 0.0))
 
 
 def main() -> None:
@@ -118,8 +90,8 @@ def main() -> None:
             options = PlannerOptions(
                 name=name, stop_at_first=True, seed=arguments.seed, refine=False
             )
-            compile_first(options)
-            spent_s, expansions, cost_m, bound = measure(grid, queries, options).T
+            compile_planner(options)
+            spent_s, cost_m, expansions, bound = measure(grid, queries, options).T
             if name == arguments.names[0]:
                 first_m = cost_m
             pairs = [

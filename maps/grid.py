@@ -74,7 +74,7 @@ class OccupancyGrid:
         return cols * self.resolution_m, rows * self.resolution_m
 
     def blocked(self, unknown_is_free: bool = False) -> NDArray[np.bool_]:
-        """Which cells (H, W) a robot must keep off."""
+        """Cells (H, W) that block a robot."""
         if unknown_is_free:
             return np.asarray(self.cells == Cell.OCCUPIED)
         return np.asarray(self.cells != Cell.FREE)
@@ -144,9 +144,8 @@ def _elevation(values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     return heights
 
 
-# Distance field: how far each cell's centre is from the nearest blocked ground.
-
-_FAR_CELLS = 1000  # as far as squares of the transform are good to less than a half
+# Up to this distance the squares of the transform are accurate to less than a half.
+_FAR_CELLS = 1000
 
 
 def distance_field(blocked: NDArray[np.bool_], resolution_m: float) -> NDArray[np.float32]:

@@ -1,6 +1,6 @@
-"""Reading of map images with the YAML of the ROS map server and Nav2.
+"""Map files: images with the YAML of the ROS map server and Nav2, read and copied.
 
-p is how occupied a pixel looks: 1 - luminance / 255, or luminance / 255 with negate. Occupied where
+p is the occupancy of a pixel: 1 - luminance / 255, or luminance / 255 with negate. Occupied where
 p >= occupied_thresh, free where p <= free_thresh, else unknown. A pixel that is not opaque is
 unknown in the modes trinary and scale, which differ only in values that this project does not use.
 In mode raw the grey value 0..100 is the occupancy in per cent, anything above is unknown.
@@ -41,12 +41,12 @@ class MapError(ValueError):
 
 
 class MapWarning(UserWarning):
-    """A map that can be read but probably does not mean what it says."""
+    """A map that can be read but is probably not as intended."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MapMetadata:
-    """What the YAML beside an image says. image is the path of the picture to read.
+    """Contents of the YAML beside an image. image is the path of the image.
 
     elevation: path of the picture of heights, None for a floor at z = 0; elevation_scale_m: metres
     per grey value; elevation_offset_m: the height of black.
@@ -82,7 +82,7 @@ def load_map(
 def find_map(
     path: str | Path, *, resolution_m: float | None = None, origin: Pose | None = None
 ) -> MapMetadata:
-    """What `load_map` reads for these arguments, before it reads the pictures. Raises MapError."""
+    """The metadata with which `load_map` reads the images. Raises MapError."""
     file = Path(path)
     if not file.exists() and file.parts[:1] == (COMES_ALONG.name,):
         # An installed program has the maps that come along beside this file.
@@ -346,16 +346,14 @@ def _warn_about(
         )
 
 
-# Writing of a map: its pictures as they are, and a YAML that names them.
-
 YAML, IMAGE, HEIGHTS = "map.yaml", "map", "map_height"
 
 
 def copy_map(metadata: MapMetadata, folder: Path) -> None:
     """Copies a map into a folder: `map.yaml`, and its pictures byte for byte beside it.
 
-    They are called `map` and `map_height`, with the endings they had; `load_map` reads the copy as
-    it reads the map. Raises OSError where they cannot be read or written.
+    They are named `map` and `map_height`, with their suffixes; `load_map` reads the copy like the
+    original. Raises OSError where they cannot be read or written.
     """
     image = Path(IMAGE).with_suffix(metadata.image.suffix)
     (folder / image).write_bytes(metadata.image.read_bytes())

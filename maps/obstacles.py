@@ -1,4 +1,4 @@
-"""Boxes that stand on a map: into its cells, and blocked cells as few boxes for a simulation."""
+"""Obstacle boxes: rasterized into a map's cells, and blocked cells merged into few boxes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The floor and the walls of a map as boxes with a height each, for a simulation and a page."""
+"""Floor and walls of a map as boxes with heights, for the simulation and the viewer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 
 # Heights that differ by less make one box.
 _LEVEL_M = 0.001
-# A wall rises from the highest floor this near to it, so that nobody walks over it.
+# A wall rises from the highest floor within this distance, so that no robot steps over it.
 _BESIDE_WALL_M = 0.5
 
 

@@ -1,9 +1,9 @@
-"""Pictures of a policy on flights that training draws, one row a flight.
+"""Images of a policy on flights of stairs as in training, one row per flight.
 
     python -m docs.make.stairs_picture --image stairs.png [--policy NAME.safetensors] [--rise 0.1]
 
-Plates show the present and the next step, blue for the left foot. The flights are held out: their
-seeds are none that training draws from.
+Plates show the present and the next step, blue for the left foot. The flights are held out:
+training uses other seeds.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> 
         render_mode="rgb_array",
     )
     task.restart(np.random.SeedSequence([20_000 + seed]))
-    painter = SceneRenderer(task.walker.scene)
+    renderer = SceneRenderer(task.walker.scene)
     shown = set(np.linspace(60, SHOWN_TICKS, MOMENTS).astype(int))
     pictures, observation = [], task.observe()
     for tick in range(SHOWN_TICKS + 1):
         if tick in shown:
-            picture = painter.draw(task.moment(), 0)
-            # Half as large: the painter leaves edges rough.
+            picture = renderer.draw(task.moment(), 0)
+            # Half size, as the renderer does not smooth edges.
             pictures.append(
                 cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), None, 0, 0, cv2.INTER_AREA)
             )
@@ -71,7 +71,7 @@ def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> 
         if step.terminated.any():
             raise RuntimeError(f"the robot fell at tick {tick} of {mode}, seed {seed}")
         observation = step.observation
-    painter.close()
+    renderer.close()
     return pictures
 
 
