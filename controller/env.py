@@ -304,7 +304,7 @@ class WalkTask:
         velocity = to_heading_frame(sim.qpos, sim.qvel[:, None, :3])[:, 0]
         height = sim.qpos[:, 2:3] - walker.robot.pelvis_height_m
         force = sim.sensors[:, :, sensors.ground_force_world[:, 2]].mean(axis=1)
-        force = force / (walker.robot.mass_kg * 9.81)
+        force = force / walker.robot.weight_n
         fresh = self.ticks == 0
         error[fresh], force[fresh] = 0.0, 0.5
         fields = [velocity, height, error.reshape(sim.count, -1), force]

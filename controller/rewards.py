@@ -132,7 +132,7 @@ def reward_inputs(
     head_offset = latest[:, sensors.head_pos_world[:2]] - pelvis[:, :2]
     torque_nm = walker.joint_torque_nm()
     heading = targets[:, 1, 3] + 0.5 * wrap_angle(targets[:, 0, 3] - targets[:, 1, 3])
-    weight_n = walker.robot.mass_kg * 9.81
+    weight_n = walker.robot.weight_n
     force_z_n = sim.sensors[:, :, sensors.ground_force_world[:, 2]]
     sole_speed = np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2)
     joint_speed = sim.qvel[:, walker.scene.joint_qvel]

@@ -42,6 +42,7 @@ RIGHT_LEG_BITS = (4, 1 | 2)
 
 # Geoms of the ground of a map that is not flat have names that begin like this.
 GROUND_PREFIX = "ground_"
+GRAVITY_M_S2 = 9.81
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,6 +136,11 @@ class Robot:
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {self.mass_kg:.0f} kg, {len(self.joints)} leg joints)"
+
+    @property
+    def weight_n(self) -> float:
+        """Weight of the robot."""
+        return self.mass_kg * GRAVITY_M_S2
 
     @cached_property
     def training_model(self) -> StepModel:

@@ -192,7 +192,7 @@ def gait_parts(bench: EvaluationSetup) -> list[Part]:
         whole = record.of_upright()
         ticks = GaitTicks.of(robot.gait)
         steady = whole.steady(ticks)
-        weights = steady.ground_force_n / (robot.mass_kg * 9.81)
+        weights = steady.ground_force_n / robot.weight_n
         contact = in_contact(steady, robot.mass_kg).astype(float)
         asked = np.repeat(steady.indicator, steady.substeps, axis=1)
         standing_m = robot.pelvis_height_m

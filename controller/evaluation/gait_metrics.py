@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from controller.evaluation.gait_summary import CONTACT_WEIGHTS, GRAVITY_M_S2
+from controller.evaluation.gait_summary import CONTACT_WEIGHTS
 from controller.evaluation.rollouts import start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
 from controller.step_sequences import chain_steps
 from planner.robot_model import Side
-from sim.robot import Robot
+from sim.robot import GRAVITY_M_S2, Robot
 
 Step = tuple[float, float, float]
 

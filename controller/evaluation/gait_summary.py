@@ -17,7 +17,6 @@ from planner.robot_model import Side
 if TYPE_CHECKING:
     from controller.walker import Walker
 
-GRAVITY_M_S2 = 9.81
 # Less than this of the robot's weight on a foot does not count as contact.
 CONTACT_WEIGHTS = 0.02
 # With fewer steps there is no gait to speak of.
@@ -51,7 +50,7 @@ class GaitRecorder:
     """Watches the only robot of a walker, whose `record` must have qvel, control step by step."""
 
     def __init__(self, walker: Walker) -> None:
-        self._weight_n = walker.robot.mass_kg * GRAVITY_M_S2
+        self._weight_n = walker.robot.weight_n
         self._joints = walker.scene.joint_qvel
         self._heights_m: list[float] = []
         self._resting_m: list[float] = []
