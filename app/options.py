@@ -1,6 +1,7 @@
-"""The kinds of value that options take, each with its own reading and its own complaint.
+"""Command-line options: the kinds of value, their parsing, and the options that commands share.
 
-Use them as `goal: PoseOption` or `epsilon: Annotated[float, number(at_least=1.0)] = 8.0`.
+A field of a dataclass of options is `goal: PoseOption` or
+`epsilon: Annotated[float, number(at_least=1.0)] = 8.0`.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ from planner.options import HEURISTICS, PLANNERS
 from sim.robot import Robot
 from sim.robots import get_robot
 
+Options = TypeVar("Options")
+
 
 class Pose(NamedTuple):
     """A pose on the floor, in the map frame; yaw is counter-clockwise."""
@@ -53,18 +56,19 @@ class Reach(NamedTuple):
     rad: float
 
 
-def parse_reach(text: str) -> Reach:
-    """The reach written as `M,RAD`, metres and radians.
-
-    Raises:
-        ValueError: Not two finite numbers of at least 0 with a comma between them.
-    """
-    parts = text.split(",")
+def _numbers(text: str, count: int) -> list[float] | None:
+    """The finite numbers of `text`, with commas between; None unless there are `count` of them."""
     try:
-        values = [float(part) for part in parts]
+        values = [float(part) for part in text.split(",")]
     except ValueError:
-        values = []
-    if len(values) != 2 or not all(math.isfinite(value) and value >= 0 for value in values):
+        return None
+    return values if len(values) == count and all(map(math.isfinite, values)) else None
+
+
+def parse_reach(text: str) -> Reach:
+    """The reach written as `M,RAD`; raises ValueError for any other text."""
+    values = _numbers(text, 2)
+    if values is None or min(values) < 0:
         raise ValueError(
             f"{text!r} is not a reach; write M,RAD in metres and radians, such as 0.05,0.1"
         )
@@ -72,33 +76,17 @@ def parse_reach(text: str) -> Reach:
 
 
 def parse_interval(text: str) -> Interval:
-    """The interval written as `LOW,HIGH`.
-
-    Raises:
-        ValueError: Not two finite numbers with a comma between them, the lower one first.
-    """
-    parts = text.split(",")
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if len(values) != 2 or not all(map(math.isfinite, values)) or values[0] > values[1]:
+    """The interval written as `LOW,HIGH`; raises ValueError for any other text."""
+    values = _numbers(text, 2)
+    if values is None or values[0] > values[1]:
         raise ValueError(f"{text!r} is not a range; write LOW,HIGH, such as -1,1")
     return Interval(*values)
 
 
 def parse_pose(text: str) -> Pose:
-    """The pose written as `X,Y,YAW`, metres and radians.
-
-    Raises:
-        ValueError: Not three finite numbers with commas between them.
-    """
-    parts = text.split(",")
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        values = []
-    if len(values) != 3 or not all(map(math.isfinite, values)):
+    """The pose written as `X,Y,YAW`, metres and radians; raises ValueError for any other text."""
+    values = _numbers(text, 3)
+    if values is None:
         raise ValueError(
             f"{text!r} is not a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57"
         )
@@ -106,11 +94,7 @@ def parse_pose(text: str) -> Pose:
 
 
 def parse_poses(text: str) -> tuple[Pose, ...]:
-    """Poses written one after another with colons between.
-
-    Raises:
-        ValueError: One of them is not a pose.
-    """
+    """Poses with colons between; raises ValueError where one of them is not a pose."""
     return tuple(parse_pose(part) for part in text.split(":"))
 
 
@@ -204,8 +188,9 @@ def _spec(metavar: str, read: Callable[[list[str]], Any]) -> PrimitiveConstructo
     )
 
 
-PoseOption = Annotated[Pose, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
-OptionalPose = Annotated[Pose | None, _spec("X,Y,YAW", lambda words: parse_pose(words[0]))]
+_POSE = _spec("X,Y,YAW", lambda words: parse_pose(words[0]))
+PoseOption = Annotated[Pose, _POSE]
+OptionalPose = Annotated[Pose | None, _POSE]
 PosesOption = Annotated[
     tuple[Pose, ...], _spec("X,Y,YAW:X,Y,YAW...", lambda words: parse_poses(words[0]))
 ]
@@ -215,16 +200,12 @@ OptionalInterval = Annotated[
 ReachOption = Annotated[Reach, _spec("M,RAD", lambda words: parse_reach(words[0]))]
 OptionalLength = Annotated[float | None, number(above=0)]
 OptionalTime = Annotated[float | None, number(above=0)]
-FileOption = Annotated[Path, _spec("FILE", lambda words: Path(words[0]))]
-OptionalFile = Annotated[Path | None, _spec("FILE", lambda words: Path(words[0]))]
-FolderOption = Annotated[Path, _spec("DIR", lambda words: Path(words[0]))]
-FolderArgument = Annotated[Path, _spec("DIR", lambda words: Path(words[0])), tyro.conf.Positional]
-OptionalFolder = Annotated[Path | None, _spec("DIR", lambda words: Path(words[0]))]
-
-
-# From command-line words to a dataclass of options, with one clear line for what is wrong.
-
-Options = TypeVar("Options")
+_FILE, _FOLDER = (_spec(metavar, lambda words: Path(words[0])) for metavar in ("FILE", "DIR"))
+FileOption = Annotated[Path, _FILE]
+OptionalFile = Annotated[Path | None, _FILE]
+FolderOption = Annotated[Path, _FOLDER]
+FolderArgument = Annotated[Path, _FOLDER, tyro.conf.Positional]
+OptionalFolder = Annotated[Path | None, _FOLDER]
 
 
 def parse_options(
@@ -304,9 +285,6 @@ def _name_and_value(argument: Any) -> str:
     if argument.is_positional():
         return str(argument.lowered.metavar)
     return f"{_name(argument)} {argument.lowered.metavar or ''}".strip()
-
-
-# What commands share: the options that say which map and robot, and the reading of both.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,7 +73,7 @@ def measured_results():
     }
 
 
-def bench(episodes: int = 100) -> EvaluationSetup:
+def evaluation_setup(episodes: int = 100) -> EvaluationSetup:
     return EvaluationSetup(robot=ROBOT, policy=load_policy(ROBOT), episodes=episodes, seed=1)
 
 
@@ -170,19 +170,19 @@ def test_a_mode_in_numbers():
 
 
 def test_what_planning_is_to_know_by_hand(measured_results):
-    found = measured_of(bench(), measured_results)
+    found = measured_of(evaluation_setup(), measured_results)
     assert found is not None
     assert found.limits == limits_from({**LIMITS, "z_m": [-0.01, 0.10]})
     assert found.foot_margin_m == 0.013
     assert found.body_margin_m == 0.071
     assert found.evidence["widest_shape"] == "hips"
     without = {name: r for name, r in measured_results.items() if not name.startswith("stairs")}
-    flat = measured_of(bench(), without)
+    flat = measured_of(evaluation_setup(), without)
     assert flat is not None
     assert flat.limits.z_m == ROBOT.step_model.limits.z_m
     failed = measured_results["limits-region"] | {"found": False}
-    assert measured_of(bench(), measured_results | {"limits-region": failed}) is None
-    assert measured_of(bench(), {}) is None
+    assert measured_of(evaluation_setup(), measured_results | {"limits-region": failed}) is None
+    assert measured_of(evaluation_setup(), {}) is None
 
 
 def test_a_sole_that_is_off_and_turned():
@@ -201,15 +201,17 @@ def test_stored_beside_the_weights_from_enough_episodes_on(tmp_path, measured_re
         shutil.copy(POLICY_FOLDER / f"jvrc1{ending}", tmp_path / f"own{ending}")
     options = EvaluateOptions(out=tmp_path, policy=tmp_path / "own.safetensors")
     for episodes, name in ((99, None), (100, "own.measured.json")):
-        measured = measured_of(bench(episodes), measured_results)
-        assert evaluate._store(options, bench(episodes), measured) == name
+        measured = measured_of(evaluation_setup(episodes), measured_results)
+        assert evaluate._store(options, evaluation_setup(episodes), measured) == name
         assert load_tracking_limits(ROBOT, options.policy) == (measured if name else None)
     assert "99 episodes are too few" in capsys.readouterr().err
 
 
 def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path, measured_results):
-    parts = [part for name in ("stairs", "limits") for part in SECTIONS[name](bench())]
-    document = evaluate.document_of(bench(), parts, measured_results, "own.measured.json")
+    parts = [part for name in ("stairs", "limits") for part in SECTIONS[name](evaluation_setup())]
+    document = evaluate.document_of(
+        evaluation_setup(), parts, measured_results, "own.measured.json"
+    )
     document["stairs"] = [r for name, r in measured_results.items() if name.startswith("stairs")]
     write_figures(document, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"stairs.png", "limits.png"}
@@ -222,15 +224,15 @@ def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path, measured_resul
 
 def test_another_policy_beside(tmp_path, capsys):
     """The document of one evaluation, read into the report of another."""
-    parts = [part for section in SECTIONS.values() for part in section(bench())]
+    parts = [part for section in SECTIONS.values() for part in section(evaluation_setup())]
     results = {"modes-forward": mode_row(made_up("forward"))}
-    other = evaluate.document_of(bench(), parts, results, None)
+    other = evaluate.document_of(evaluation_setup(), parts, results, None)
     other["stairs"] = [stairs_row("up", 0.10, 0.5), stairs_row("down", 0.15, 0.25)]
     other["modes"] = [{**other["modes"][0], "falls": 1}]
     folder = tmp_path / "other"
     folder.mkdir()
     (folder / "evaluation.json").write_text(json.dumps(other))
-    mine = evaluate.document_of(bench(), parts, results, None)
+    mine = evaluate.document_of(evaluation_setup(), parts, results, None)
     mine["stairs"] = [stairs_row("up", 0.10, 1.0)]
     mine["beside"] = read_beside(folder, "jvrc1", evaluate.FORMAT)
     text = report(mine)

@@ -155,22 +155,22 @@ def test_time_runs_out():
 
 
 @pytest.fixture(scope="module")
-def course() -> TrialSettings:
-    return TrialSettings(grid=empty_map(4.0), robot="jvrc1", policy=None, unknown_is_free=False)
+def settings() -> TrialSettings:
+    return TrialSettings(grid=empty_map(4.0), robot="jvrc1")
 
 
-def test_trials_are_drawn_apart_and_repeat(course):
-    trials = draw_trials(course, 5, 1.0, seed=3)
-    assert trials == draw_trials(course, 5, 1.0, seed=3)
-    assert trials != draw_trials(course, 5, 1.0, seed=4)
+def test_trials_are_drawn_apart_and_repeat(settings):
+    trials = draw_trials(settings, 5, 1.0, seed=3)
+    assert trials == draw_trials(settings, 5, 1.0, seed=3)
+    assert trials != draw_trials(settings, 5, 1.0, seed=4)
     for trial in trials:
         assert np.hypot(*np.subtract(trial.goal[:2], trial.start[:2])) >= 1.0
 
 
-def test_trials_walk_and_are_summed_up_by_outcome(course):
-    trials = draw_trials(course, 2, 0.3, seed=0)
+def test_trials_walk_and_are_summed_up_by_outcome(settings):
+    trials = draw_trials(settings, 2, 0.3, seed=0)
     near = [replace(t, goal=(t.start[0], t.start[1], t.start[2] + 0.2)) for t in trials]
-    results = [walk_one(course, trial) for trial in near]
+    results = [walk_one(settings, trial) for trial in near]
     summary = summarise(results)
     assert summary["walks"] == summary["reached"] == 2
     assert summary["steps_taken"] == sum(len(r["foot_errors_m"]) for r in results) > 0

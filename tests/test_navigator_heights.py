@@ -159,8 +159,8 @@ def test_a_robot_that_stops_keeps_to_the_height_of_its_tread():
 
 
 def test_trials_are_drawn_on_level_ground_only():
-    course = TrialSettings(grid=STAIRS, robot="jvrc1", policy=None, unknown_is_free=False)
-    trials = draw_trials(course, 30, 5.0, 0)
+    settings = TrialSettings(grid=STAIRS, robot="jvrc1")
+    trials = draw_trials(settings, 30, 5.0, 0)
     poses = [pose for trial in trials for pose in (trial.start, trial.goal)]
     footing = Footing(STAIRS, ROBOT.step_model, False)
     assert len(poses) == 60

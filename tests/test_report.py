@@ -6,9 +6,9 @@ import json
 import pytest
 
 from app.navigation.report import (
-    FootError,
     NavigationReport,
     Outcome,
+    Percentiles,
     PolicyFile,
     installed_versions,
 )
@@ -21,7 +21,7 @@ REPORT = NavigationReport(
     goal_error_rad=0.02,
     steps_planned=31,
     steps_taken=31,
-    foot_error_m=FootError(median=0.02, p95=0.05, max=0.07),
+    foot_error_m=Percentiles(median=0.02, p95=0.05, max=0.07),
     min_clearance_m=0.21,
     planning_time_s=0.05,
     sim_time_s=35.2,
@@ -122,12 +122,12 @@ def test_a_number_that_json_lacks_is_refused():
         dataclasses.replace(REPORT, goal_error_m=float("nan")).to_json()
 
 
-def test_foot_error_of_hand_worked_numbers():
+def test_percentiles_of_hand_worked_numbers():
     # 21 values 0 .. 0.20: the middle one, and the one 95 % of the way along.
-    error = FootError.of([i / 100 for i in range(21)])
+    error = Percentiles.of([i / 100 for i in range(21)])
     assert error is not None
     assert (error.median, error.p95, error.max) == pytest.approx((0.10, 0.19, 0.20))
-    assert FootError.of([]) is None
+    assert Percentiles.of([]) is None
 
 
 def test_exit_codes():

@@ -95,22 +95,22 @@ def run(options: EvaluateOptions) -> int:
         policy = load_policy(robot, options.policy)
     beside = read_beside(options.beside, robot.name, FORMAT) if options.beside else None
     make_folder(options.out, option="--out")
-    bench = EvaluationSetup(
+    setup = EvaluationSetup(
         robot=robot,
         policy=policy,
         episodes=options.episodes,
         seed=options.seed,
         threads=options.workers or os.cpu_count() or 1,
     )
-    parts = [part for section in SECTIONS.values() for part in section(bench)]
+    parts = [part for section in SECTIONS.values() for part in section(setup)]
     results: Results = {}
     try:
-        _measure(parts, options, ResultCache(options.out, bench), results)
+        _measure(parts, options, ResultCache(options.out, setup), results)
     except KeyboardInterrupt:
-        _write(options, document_of(bench, parts, results, None))
+        _write(options, document_of(setup, parts, results, None))
         raise
-    stored = _store(options, bench, measured_of(bench, results))
-    document = document_of(bench, parts, results, stored)
+    stored = _store(options, setup, measured_of(setup, results))
+    document = document_of(setup, parts, results, stored)
     if beside is not None:
         document["beside"] = beside
     # Here and not above: it takes a while to load, and a run that is cut off needs none of it.
@@ -144,14 +144,14 @@ def _measure(
 
 
 def _store(
-    options: EvaluateOptions, bench: EvaluationSetup, measured: TrackingLimits | None
+    options: EvaluateOptions, setup: EvaluationSetup, measured: TrackingLimits | None
 ) -> str | None:
     """Put what planning is to know beside the weights; gives the file, or None if it is not put."""
     if measured is None or "limits" not in options.sections:
         return None
-    path = tracking_limits_path(options.policy, bench.robot)
-    if bench.episodes < ENOUGH_EPISODES:
-        say(f"{bench.episodes} episodes are too few to tell 99 %: {path} is left as it is")
+    path = tracking_limits_path(options.policy, setup.robot)
+    if setup.episodes < ENOUGH_EPISODES:
+        say(f"{setup.episodes} episodes are too few to tell 99 %: {path} is left as it is")
         return None
     try:
         write_text(path, tracking_limits_text(measured))
@@ -162,7 +162,7 @@ def _store(
 
 
 def document_of(
-    bench: EvaluationSetup, parts: Sequence[Part], results: Results, stored: str | None
+    setup: EvaluationSetup, parts: Sequence[Part], results: Results, stored: str | None
 ) -> dict[str, Any]:
     """evaluation.json: what is known of each section; of those not measured there is nothing."""
     from app.evaluation.limits import measured_of
@@ -170,11 +170,11 @@ def document_of(
 
     document: dict[str, Any] = {
         "format": FORMAT,
-        "robot": bench.robot.name,
-        "policy_sha256": bench.policy.about["sha256"],
-        "trained": bench.policy.about.get("trained"),
-        "episodes": bench.episodes,
-        "seed": bench.seed,
+        "robot": setup.robot.name,
+        "policy_sha256": setup.policy.about["sha256"],
+        "trained": setup.policy.about.get("trained"),
+        "episodes": setup.episodes,
+        "seed": setup.seed,
         "versions": installed_versions(),
     }
     for section in SECTIONS:
@@ -183,7 +183,7 @@ def document_of(
         if section in TABLES and done:
             document[section] = [results[name] for name in done]
         elif section == "limits" and len(done) == len(names):
-            measured = measured_of(bench, results)
+            measured = measured_of(setup, results)
             document[section] = {
                 **{name.removeprefix("limits-"): results[name] for name in names},
                 "measured": None if measured is None else asdict(measured),

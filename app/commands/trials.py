@@ -6,13 +6,14 @@ import functools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from app.navigation.report import Outcome, installed_versions
+from app.navigation.report import Outcome, Percentiles, installed_versions
 from app.options import (
     FolderOption,
     MapOptions,
@@ -41,6 +42,10 @@ from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import feet_at
+
+FORMAT = "navigation-trials/1"
+Pose = tuple[float, float, float]
+DRAWS_PER_POSE = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,11 +90,6 @@ class TrialsOptions(MapOptions):
     """Print trials.json on standard output, and nothing else there."""
 
 
-FORMAT = "navigation-trials/1"
-Pose = tuple[float, float, float]
-DRAWS_PER_POSE = 10_000
-
-
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """One pair to walk; plain values, so that it can go to another process."""
@@ -106,10 +106,8 @@ class TrialSettings:
 
     grid: OccupancyGrid
     robot: str
-    policy: Path | None
-    unknown_is_free: bool
-    planner: str = PlannerOptions.name
-    refine: bool = True
+    policy: Path | None = None
+    planner: PlannerOptions = field(default_factory=PlannerOptions)
     pace: str = "normal"
 
 
@@ -119,19 +117,19 @@ def run(options: TrialsOptions) -> int:
     with as_bad_input(PolicyError):
         require_pace(load_policy(robot, options.policy), robot, options.pace)
     make_folder(options.out, option="--out")
-    course = TrialSettings(
+    settings = TrialSettings(
         grid=grid,
         robot=robot.name,
         policy=options.policy,
-        unknown_is_free=options.unknown_is_free,
-        planner=options.planner,
-        refine=options.refine,
+        planner=PlannerOptions(
+            name=options.planner, refine=options.refine, unknown_is_free=options.unknown_is_free
+        ),
         pace=options.pace,
     )
-    trials = draw_trials(course, options.count, options.apart, options.seed)
+    trials = draw_trials(settings, options.count, options.apart, options.seed)
     results = []
     with ProgressBar("walks", len(trials)) as bar:
-        for result in in_order(functools.partial(walk_one, course), trials, options.workers):
+        for result in in_order(functools.partial(walk_one, settings), trials, options.workers):
             results.append(result)
             bar.update(len(results), f"{sum(r['outcome'] == 'reached' for r in results)} reached")
     document: dict[str, Any] = {
@@ -148,7 +146,7 @@ def run(options: TrialsOptions) -> int:
     return ExitCode.DONE
 
 
-def draw_trials(course: TrialSettings, count: int, apart_m: float, seed: int) -> list[Trial]:
+def draw_trials(settings: TrialSettings, count: int, apart_m: float, seed: int) -> list[Trial]:
     """Pairs of free poses, uniform over the map's area and all headings.
 
     Raises:
@@ -158,16 +156,16 @@ def draw_trials(course: TrialSettings, count: int, apart_m: float, seed: int) ->
     from planner.endpoints import what_blocks
 
     rng = np.random.default_rng(seed)
-    model = find_robot_with_limits(course.robot, course.policy).step_model
-    terrain = terrain_of(course.grid, course.unknown_is_free)
-    x0, y0, x1, y1 = course.grid.bounds_world()
+    model = find_robot_with_limits(settings.robot, settings.policy).step_model
+    terrain = terrain_of(settings.grid, settings.planner.unknown_is_free)
+    x0, y0, x1, y1 = settings.grid.bounds_world()
 
     def free_pose() -> Pose:
         for _ in range(DRAWS_PER_POSE):
             x, y, yaw = rng.uniform((x0, y0, -math.pi), (x1, y1, math.pi))
             pose = round(x, 3), round(y, 3), round(yaw, 3)
             feet = feet_at(pose, model.stance_width_m)
-            if not what_blocks(course.grid, terrain, model, feet):
+            if not what_blocks(settings.grid, terrain, model, feet):
                 return pose
         raise InputError("the robot can hardly stand anywhere on this map: there is no free pose")
 
@@ -183,19 +181,21 @@ def draw_trials(course: TrialSettings, count: int, apart_m: float, seed: int) ->
     return trials
 
 
-def walk_one(course: TrialSettings, trial: Trial) -> dict[str, Any]:
+def walk_one(settings: TrialSettings, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
     from app.navigation.navigator import Navigator, NavigatorConfig
 
-    robot = find_robot_with_limits(course.robot, course.policy)
+    robot = find_robot_with_limits(settings.robot, settings.policy)
     navigator = Navigator(
-        course.grid,
+        settings.grid,
         robot,
-        load_policy(robot, course.policy),
+        load_policy(robot, settings.policy),
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
-        config=NavigatorConfig(planner=_search(course, trial), pace=course.pace),
+        config=NavigatorConfig(
+            planner=replace(settings.planner, seed=trial.seed), pace=settings.pace
+        ),
     )
     navigator.plan()
     while navigator.outcome is None:
@@ -286,17 +286,6 @@ def table(summary: Mapping[str, Any]) -> str:
     return "\n".join(rows)
 
 
-def _percentiles(values: Sequence[float] | np.ndarray) -> dict[str, float] | None:
-    if len(values) == 0:
-        return None
-    median, p95 = np.percentile(values, [50, 95])
-    return {"median": float(median), "p95": float(p95), "max": float(np.max(values))}
-
-
-def _search(course: TrialSettings, trial: Trial) -> PlannerOptions:
-    return PlannerOptions(
-        name=course.planner,
-        refine=course.refine,
-        unknown_is_free=course.unknown_is_free,
-        seed=trial.seed,
-    )
+def _percentiles(values: ArrayLike) -> dict[str, float] | None:
+    found = Percentiles.of(values)
+    return None if found is None else asdict(found)

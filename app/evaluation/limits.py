@@ -1,4 +1,4 @@
-"""What planning should know of its policy: step limits, margins of foot and body, rises.
+"""What planning may count on: step limits that a policy keeps, margins of foot and body, rises.
 
 The limits are a box of steps cut back until the walks within it succeed; the margins are measured
 on walks within those limits.
@@ -32,11 +32,6 @@ from planner.lattice.steps import allowed
 from planner.options import PlannerOptions
 from planner.robot_model import FootShape, StepLimits
 
-# What planning should know of its follower: step limits, margins of foot and body, rises.
-#
-# The limits are a box of steps cut back until the walks within it succeed; the margins are measured
-# on walks within those limits.
-
 SUCCESS = 0.99
 # An episode on stairs climbs more steps than most flights have.
 STAIRS_SUCCESS = 0.98
@@ -46,16 +41,16 @@ FLOOR_HALF_M = 4.0
 GOAL_WITHIN_M = 1.5
 
 
-def limits_parts(bench: EvaluationSetup) -> list[Part]:
+def limits_parts(setup: EvaluationSetup) -> list[Part]:
     """A map of all kinds of steps, limits within which all succeed, and margins within those."""
-    robot = bench.robot
+    robot = setup.robot
     trained = replace(robot.step_model, limits=robot.training_model.limits)
     kinds = step_grid(trained.limits, trained.stance_width_m, lambda steps: allowed(steps, trained))
-    each, planned = bench.share(40), min(bench.share(8), 125)
+    each, planned = setup.share(40), min(setup.share(8), 125)
 
     def measure_map(results: Results) -> dict[str, Any]:
         cells = step_map(
-            robot, bench.policy, kinds, count=each, seed=bench.seed, threads=bench.threads
+            robot, setup.policy, kinds, count=each, seed=setup.seed, threads=setup.threads
         )
         return {"walks_each": each, "kinds": cells}
 
@@ -63,7 +58,7 @@ def limits_parts(bench: EvaluationSetup) -> list[Part]:
         latest: list[StepWalks] = []
 
         def walk_limits(limits: StepLimits) -> LimitTrial:
-            walks, trial = _walk_within(bench, limits)
+            walks, trial = _walk_within(setup, limits)
             latest[:] = [walks]
             return trial
 
@@ -83,7 +78,7 @@ def limits_parts(bench: EvaluationSetup) -> list[Part]:
         if not region["found"]:
             return {"walks": 0, "body_beyond_box_m": {}}
         limits = limits_from(region["tried"][-1]["limits"])
-        beyond = _sway_m(bench, limits, planned)
+        beyond = _sway_m(setup, limits, planned)
         return {
             "walks": planned,
             "body_beyond_box_m": {name: [p99, most] for name, p99, most in beyond},
@@ -96,24 +91,24 @@ def limits_parts(bench: EvaluationSetup) -> list[Part]:
 
     return [
         part("map", each * len(kinds), measure_map),
-        part("region", 3 * bench.episodes, measure_region),
+        part("region", 3 * setup.episodes, measure_region),
         part("sway", planned, measure_sway, PLANNED_S),
     ]
 
 
-def _walk_within(bench: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, LimitTrial]:
-    stated = bench.robot.step_model
+def _walk_within(setup: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, LimitTrial]:
+    stated = setup.robot.step_model
     steps = tuple(step for step in stated.steps if limits.contain(step))
     model = replace(stated, limits=limits, steps=steps)
     return walk_within(
-        bench.robot,
-        bench.policy,
+        setup.robot,
+        setup.policy,
         limits,
         lambda steps: allowed(steps, model),
-        count=bench.episodes,
-        seed=bench.seed,
-        threads=bench.threads,
-        falls_at_most=math.floor((1 - SUCCESS) * bench.episodes + 1e-9),
+        count=setup.episodes,
+        seed=setup.seed,
+        threads=setup.threads,
+        falls_at_most=math.floor((1 - SUCCESS) * setup.episodes + 1e-9),
     )
 
 
@@ -128,19 +123,19 @@ def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
 
 
 def _sway_m(
-    bench: EvaluationSetup, limits: StepLimits, count: int
+    setup: EvaluationSetup, limits: StepLimits, count: int
 ) -> list[tuple[str, float, float]]:
     """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
     from planner.planner import Planner  # the compiled search takes a second to load
 
     provisional = TrackingLimits(
-        robot=bench.robot.name,
+        robot=setup.robot.name,
         policy_sha256="",
         limits=limits,
         foot_margin_m=0.0,
         body_margin_m=0.0,
     )
-    model = planning_model(bench.robot.step_model, provisional)
+    model = planning_model(setup.robot.step_model, provisional)
     cells = np.zeros((round(2 * FLOOR_HALF_M / 0.05),) * 2, np.uint8)
     corner = (-FLOOR_HALF_M, -FLOOR_HALF_M, 0.0)
     planner = Planner(
@@ -155,11 +150,11 @@ def _sway_m(
         plan = planner.plan(goal=goal.tolist(), start_feet_world=feet, first_side=None)
         return StepSequence.of(feet, plan.side.astype(np.int64), plan.pose_world)
 
-    walker = start_walks(bench.robot, draw, count=count, seed=bench.seed, threads=bench.threads)
+    walker = start_walks(setup.robot, draw, count=count, seed=setup.seed, threads=setup.threads)
     reach = BodySway(walker.scene, model.body)
     beyond = []
     stances = walker.cursor.stances
-    for tick in walk(walker, bench.policy, round(PLANNED_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, setup.policy, round(PLANNED_S / CONTROL_PERIOD_S)):
         if tick.number % REACH_EVERY_TICKS == 0:
             rows = np.flatnonzero(tick.upright)
             beyond += [reach.beyond_m(walker.sim.qpos[row], stances[row]) for row in rows]
@@ -170,7 +165,7 @@ def _sway_m(
     return [(reach.names[k], float(p99[k]), float(most[k])) for k in order]
 
 
-def measured_of(bench: EvaluationSetup, results: Results) -> TrackingLimits | None:
+def measured_of(setup: EvaluationSetup, results: Results) -> TrackingLimits | None:
     """What planning is to know; None where it was not measured or the policy is not up to it."""
     needed = ("limits-region", "limits-sway")
     if any(name not in results for name in needed):
@@ -179,18 +174,18 @@ def measured_of(bench: EvaluationSetup, results: Results) -> TrackingLimits | No
     if not region["found"] or region["sole_error_m_p99"] is None:
         return None
     found = region["tried"][-1]
-    climb_m, stairs = _climb_m(bench, results)
+    climb_m, stairs = _climb_m(setup, results)
     limits = limits_from(found["limits"])
     *_, (shape, (_, most_m)) = sway["body_beyond_box_m"].items()
     return TrackingLimits(
-        robot=bench.robot.name,
-        policy_sha256=bench.policy.about["sha256"],
+        robot=setup.robot.name,
+        policy_sha256=setup.policy.about["sha256"],
         limits=replace(limits, z_m=climb_m),
         foot_margin_m=_millimetres_up(region["sole_error_m_p99"]),
         body_margin_m=_millimetres_up(max(most_m, 0.0)),
         evidence={
-            "episodes": bench.episodes,
-            "seed": bench.seed,
+            "episodes": setup.episodes,
+            "seed": setup.seed,
             "success_within_limits": found["success"],
             "landings": region["landings"],
             "planned_walks": sway["walks"],
@@ -201,14 +196,14 @@ def measured_of(bench: EvaluationSetup, results: Results) -> TrackingLimits | No
 
 
 def _climb_m(
-    bench: EvaluationSetup, results: Results
+    setup: EvaluationSetup, results: Results
 ) -> tuple[tuple[float, float], dict[str, float]]:
     """How far a step may fall and rise, and the successes that say so.
 
     No farther than the robot's file states, nor than stairs were walked; as stated where stairs
     were not measured.
     """
-    stated = bench.robot.step_model.limits.z_m
+    stated = setup.robot.step_model.limits.z_m
     rows = [row for name, row in results.items() if name.startswith("stairs-")]
     plain = [row for row in rows if row["noise_kind"] == "none"]
     if not plain:

@@ -66,9 +66,9 @@ class Part:
 class ResultCache:
     """The results in a folder, one file a part."""
 
-    def __init__(self, folder: Path, bench: EvaluationSetup):
+    def __init__(self, folder: Path, setup: EvaluationSetup):
         self._folder = folder / "parts"
-        self._settings = bench.settings
+        self._settings = setup.settings
 
     def read(self, part: Part) -> dict[str, Any] | None:
         """A part's result; None where there is none of the same settings."""

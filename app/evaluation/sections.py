@@ -32,26 +32,29 @@ from controller.evaluation.rollouts import AT_ONCE, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.step_sequences import MODES, clip_to_limits, draw_sequence
 
-# Success of an evaluation: every flat mode, stairs, and a minute of mixed walking.
-
 EPISODE_S = 10.0
 LONG_WALK_S = 60.0
 STAIR_RISES_M = (0.10, 0.15)
 TREAD_NOISE_M = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 JOINT_NOISE_DEG = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+RECORDED_S = 10.0
+RECORDED = 16
+CYCLE_BINS = 110
+# Pushes by what they change of the robot's speed, so that heavy robots are pushed harder.
+PUSH_SPEEDS_M_S = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
 
 
-def modes_parts(bench: EvaluationSetup) -> list[Part]:
+def modes_parts(setup: EvaluationSetup) -> list[Part]:
     """Falls and foot errors of every flat mode."""
 
     def measure(results: Results, mode: str | None) -> dict[str, Any]:
-        return mode_row(_assess(bench, mode, bench.episodes))
+        return mode_row(_assess(setup, mode, setup.episodes))
 
     return [
         Part(
             section="modes",
             name=f"modes-{mode or 'mixed'}",
-            robot_seconds=bench.episodes * EPISODE_S,
+            robot_seconds=setup.episodes * EPISODE_S,
             measure=partial(measure, mode=mode),
         )
         for mode in (*MODES, "standing", None)
@@ -59,18 +62,18 @@ def modes_parts(bench: EvaluationSetup) -> list[Part]:
 
 
 def _assess(
-    bench: EvaluationSetup, mode: str | None, episodes: int, **settings: float
+    setup: EvaluationSetup, mode: str | None, episodes: int, **settings: float
 ) -> ModeResult:
     """Episodes of one mode, in portions that fit the memory."""
     return ModeResult.joined(
         [
             assess_mode(
-                bench.robot,
-                bench.policy,
+                setup.robot,
+                setup.policy,
                 mode,
                 episodes=min(AT_ONCE, episodes - first),
-                seed=bench.seed + 1000 * number,
-                threads=bench.threads,
+                seed=setup.seed + 1000 * number,
+                threads=setup.threads,
                 config=at_navigation_rate(),
                 **settings,
             )
@@ -98,12 +101,12 @@ def mode_row(result: ModeResult) -> dict[str, Any]:
     return row
 
 
-def stairs_parts(bench: EvaluationSetup) -> list[Part]:
+def stairs_parts(setup: EvaluationSetup) -> list[Part]:
     """Stairs up and down: without noise, then with noise on treads and on joints."""
-    few = bench.share(5)
+    few = setup.share(5)
     cases: list[tuple[float, str, float, int]] = []
     for rise_m in STAIR_RISES_M:
-        cases.append((rise_m, "none", 0.0, bench.episodes))
+        cases.append((rise_m, "none", 0.0, setup.episodes))
     cases += [(STAIR_RISES_M[0], "tread", noise_m, few) for noise_m in TREAD_NOISE_M]
     cases += [(STAIR_RISES_M[0], "joint", noise_deg, few) for noise_deg in JOINT_NOISE_DEG]
 
@@ -113,7 +116,7 @@ def stairs_parts(bench: EvaluationSetup) -> list[Part]:
             settings["tread_error_m"] = noise
         elif kind == "joint":
             settings["joint_noise_deg"] = noise
-        result = _assess(bench, f"stairs_{way}", n, **settings)
+        result = _assess(setup, f"stairs_{way}", n, **settings)
         return {
             "way": way,
             "rise_m": rise_m,
@@ -135,29 +138,29 @@ def stairs_parts(bench: EvaluationSetup) -> list[Part]:
     ]
 
 
-def long_parts(bench: EvaluationSetup) -> list[Part]:
+def long_parts(setup: EvaluationSetup) -> list[Part]:
     """A minute of walking in all flat modes, changing from one to the next."""
-    count = bench.share(4)
-    steps = int(LONG_WALK_S / bench.robot.gait.step_s) + 2
+    count = setup.share(4)
+    steps = int(LONG_WALK_S / setup.robot.gait.step_s) + 2
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Any:
         while True:
-            sequence = draw_sequence(rng, bench.robot.training_model, feet, steps=steps)
+            sequence = draw_sequence(rng, setup.robot.training_model, feet, steps=steps)
             if len(sequence.side) > steps:  # not one of those that only stand
                 return sequence
 
     def measure(results: Results) -> dict[str, Any]:
         survived: list[int] = []
-        for rows, seed in portions(count, bench.seed):
+        for rows, seed in portions(count, setup.seed):
             walker = start_walks(
-                bench.robot,
+                setup.robot,
                 draw,
                 count=len(rows),
                 seed=seed,
-                threads=bench.threads,
+                threads=setup.threads,
             )
             lasted = np.zeros(len(rows), dtype=np.int64)
-            for tick in walk(walker, bench.policy, round(LONG_WALK_S / CONTROL_PERIOD_S)):
+            for tick in walk(walker, setup.policy, round(LONG_WALK_S / CONTROL_PERIOD_S)):
                 lasted += tick.upright
             survived += lasted.tolist()
         ticks = round(LONG_WALK_S / CONTROL_PERIOD_S)
@@ -169,23 +172,14 @@ def long_parts(bench: EvaluationSetup) -> list[Part]:
     return [Part(section="long", name="long", robot_seconds=seconds, measure=measure)]
 
 
-# What an evaluation says of the gait: loads, ground forces, contact, pushes, cost of transport.
-
-RECORDED_S = 10.0
-RECORDED = 16
-CYCLE_BINS = 110
-# Pushes by what they change of the robot's speed, so that heavy robots are pushed harder.
-PUSH_SPEEDS_M_S = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
-
-
-def gait_parts(bench: EvaluationSetup) -> list[Part]:
+def gait_parts(setup: EvaluationSetup) -> list[Part]:
     """Loads of the joints, ground forces and contact in a straight walk with the longest step."""
-    model, robot = bench.robot.step_model, bench.robot
+    model, robot = setup.robot.step_model, setup.robot
     step = (model.limits.most_x_m(model.stance_width_m), model.stance_width_m, 0.0)
-    count = min(RECORDED, 2 * bench.episodes)
+    count = min(RECORDED, 2 * setup.episodes)
 
     def measure(results: Results) -> dict[str, Any]:
-        record = _recorded(bench, step, count)
+        record = _recorded(setup, step, count)
         head = {"step_m": step[0], "walks": count, "falls": int(count - record.upright.sum())}
         if not record.upright.any():
             return head
@@ -219,32 +213,32 @@ def gait_parts(bench: EvaluationSetup) -> list[Part]:
     return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
 
 
-def _recorded(bench: EvaluationSetup, step: Step, count: int) -> WalkRecord:
+def _recorded(setup: EvaluationSetup, step: Step, count: int) -> WalkRecord:
     """Walks of one step, as `record_walk` records them."""
     return record_walk(
-        bench.robot,
-        bench.policy,
+        setup.robot,
+        setup.policy,
         step,
         count=count,
         seconds=RECORDED_S,
-        seed=bench.seed,
-        threads=bench.threads,
+        seed=setup.seed,
+        threads=setup.threads,
     )
 
 
-def energy_parts(bench: EvaluationSetup) -> list[Part]:
+def energy_parts(setup: EvaluationSetup) -> list[Part]:
     """Cost of transport and speed of walks forward, backward and sideways."""
-    count = min(RECORDED // 2, 2 * bench.episodes)
+    count = min(RECORDED // 2, 2 * setup.episodes)
 
     def measure(results: Results, step: Step, kind: str) -> dict[str, Any]:
-        record = _recorded(bench, step, count)
+        record = _recorded(setup, step, count)
         falls = int(count - record.upright.sum())
         row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
         if not record.upright.any():
             return {**row, "speed_m_s": None, "cost_of_transport": None, "power_w": None}
-        steady = record.of_upright().steady(GaitTicks.of(bench.robot.gait))
+        steady = record.of_upright().steady(GaitTicks.of(setup.robot.gait))
         work_j, way_m = mechanical_work_j(steady), distance_m(steady)
-        cost = cost_of_transport(work_j, bench.robot.mass_kg, way_m)
+        cost = cost_of_transport(work_j, setup.robot.mass_kg, way_m)
         return {
             **row,
             "speed_m_s": float(way_m.mean() / duration_s(steady)),
@@ -259,13 +253,13 @@ def energy_parts(bench: EvaluationSetup) -> list[Part]:
             robot_seconds=count * RECORDED_S,
             measure=partial(measure, step=step, kind=kind),
         )
-        for number, (kind, step) in enumerate(_walks_to_weigh(bench))
+        for number, (kind, step) in enumerate(_walks_to_weigh(setup))
     ]
 
 
-def _walks_to_weigh(bench: EvaluationSetup) -> list[tuple[str, Step]]:
+def _walks_to_weigh(setup: EvaluationSetup) -> list[tuple[str, Step]]:
     """Kinds of walk and their steps, within the limits that the robot's file states."""
-    model = bench.robot.step_model
+    model = setup.robot.step_model
     limits, width_m = model.limits, model.stance_width_m
     ahead_m, back_m = limits.most_x_m(width_m), limits.most_x_m(width_m, backward=True)
     forward = [("forward", (s * ahead_m, width_m, 0.0)) for s in (0.25, 0.5, 0.75, 1.0)]
@@ -274,20 +268,20 @@ def _walks_to_weigh(bench: EvaluationSetup) -> list[tuple[str, Step]]:
     return [*forward, *backward, ("sideways", (0.0, float(widest[1]), 0.0))]
 
 
-def push_parts(bench: EvaluationSetup) -> list[Part]:
+def push_parts(setup: EvaluationSetup) -> list[Part]:
     """Success against impulse, a part for each direction."""
-    mass_kg, count = bench.robot.mass_kg, bench.share(10)
+    mass_kg, count = setup.robot.mass_kg, setup.share(10)
     impulses_ns = [round(mass_kg * speed, 1) for speed in PUSH_SPEEDS_M_S]
 
     def measure(results: Results, direction: str) -> dict[str, Any]:
         success = push_recovery(
-            bench.robot,
-            bench.policy,
+            setup.robot,
+            setup.policy,
             direction,
             impulses_ns,
             count=count,
-            seed=bench.seed,
-            threads=bench.threads,
+            seed=setup.seed,
+            threads=setup.threads,
         )
         return {
             "direction": direction,

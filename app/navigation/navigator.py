@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from app.navigation.report import (
-    FootError,
     NavigationReport,
     Outcome,
+    Percentiles,
     PolicyFile,
     installed_versions,
 )
@@ -177,7 +177,7 @@ class Navigator:
             steps_planned=len(self.plans[0]) if self.plans else 0,
             steps_taken=len(self.placed),
             replans=self.replans,
-            foot_error_m=FootError.of([placed.error_m for placed in self.placed]),
+            foot_error_m=Percentiles.of([placed.error_m for placed in self.placed]),
             min_clearance_m=self.min_clearance_m if walked else None,
             planning_time_s=self.planning_time_s,
             sim_time_s=self.time_s,

@@ -43,21 +43,21 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootError:
-    """Distances in metres between where feet came to rest and where their steps were asked for."""
+class Percentiles:
+    """Median, 95th percentile and largest of some values."""
 
     median: float
     p95: float
     max: float
 
     @classmethod
-    def of(cls, errors_m: ArrayLike) -> Self | None:
-        """The summary of errors (N,), one per step taken; None where no step was taken."""
-        errors = np.asarray(errors_m, dtype=float)
-        if errors.size == 0:
+    def of(cls, values: ArrayLike) -> Self | None:
+        """Those of values (N,); None where there are none."""
+        found = np.asarray(values, dtype=float)
+        if found.size == 0:
             return None
-        median, p95 = np.percentile(errors, [50, 95])
-        return cls(median=float(median), p95=float(p95), max=float(errors.max()))
+        median, p95 = np.percentile(found, [50, 95])
+        return cls(median=float(median), p95=float(p95), max=float(found.max()))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +78,8 @@ class NavigationReport:
     """Everything that report.json says, under the same names.
 
     What was not measured, because the robot never walked, is None. Poses are x_m, y_m, yaw_rad
-    in the map frame; `goal_error_rad` is the size of the error in heading.
+    in the map frame; `goal_error_rad` is the size of the error in heading. `foot_error_m` are
+    distances between the places where feet came to rest and those of their steps.
     """
 
     outcome: Outcome
@@ -93,7 +94,7 @@ class NavigationReport:
     steps_planned: int = 0
     steps_taken: int = 0
     replans: int = 0
-    foot_error_m: FootError | None = None
+    foot_error_m: Percentiles | None = None
     min_clearance_m: float | None = None
     planning_time_s: float = 0.0
     sim_time_s: float = 0.0
@@ -140,7 +141,7 @@ class NavigationReport:
         try:
             values["outcome"] = Outcome(values["outcome"])
             for key, kind in (
-                ("foot_error_m", FootError),
+                ("foot_error_m", Percentiles),
                 ("policy", PolicyFile),
                 ("gait", GaitSummary),
             ):
