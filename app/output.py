@@ -1,4 +1,4 @@
-"""Writing files so that a reader never meets half of one."""
+"""How a command answers: exit codes, errors of input, files written whole, progress."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-# What a command ends with: the exit codes, and the errors that mean wrong input.
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
+LINE_EVERY_S = 5.0
 
 
 class ExitCode(IntEnum):
@@ -55,9 +56,6 @@ def as_bad_input(*kinds: type[Exception]) -> Iterator[None]:
 def one_line(message: object) -> str:
     """The message with every run of white space, line ends included, made one blank."""
     return " ".join(str(message).split())
-
-
-PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 
 
 def require_writable(path: Path, *, option: str, endings: Sequence[str] = ()) -> None:
@@ -168,16 +166,11 @@ def _umask() -> int:
     return mask
 
 
-# Progress on standard error: a bar on a terminal, a plain line now and then elsewhere.
-
-LINE_EVERY_S = 5.0
-
-
 class ProgressBar:
-    """Shows how far a piece of work is; a context manager.
+    """Progress on standard error: a bar on a terminal, elsewhere a line every few seconds.
 
-    Without a total nobody knows how long it takes: a bar that moves on its own, and the time.
-    Standard output is never touched: it belongs to results.
+    A context manager. Without a total the bar moves on its own and shows the time. Standard output
+    is never touched: it belongs to results.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Files are written whole or not at all, and never in the place of what is no file."""
+"""Files written whole or not at all; work over processes, each of which imports this file."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from app.output import InputError, make_folder, replacing, require_writable, write_text
+from app.workers import in_order, portions
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -79,3 +80,22 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="--out: cannot make the folder"):
         make_folder(tmp_path / "file" / "b", option="--out")
+
+
+def test_portions_hold_every_number_once():
+    for count in (1, 7, 100, 1001):
+        runs = portions(count, 2, 25)
+        assert [n for run in runs for n in run] == list(range(count))
+        assert max(map(len, runs)) <= 25
+
+
+def _square_or_die(number: int) -> int:
+    if number == 5:
+        os._exit(1)
+    return number * number
+
+
+def test_results_come_in_order_and_a_dead_process_is_told():
+    assert list(in_order(_square_or_die, [3, 1, 2], 2)) == [9, 1, 4]
+    with pytest.raises(InputError, match="a process died"):
+        list(in_order(_square_or_die, [1, 5], 2))

@@ -1,4 +1,4 @@
-"""Cameras and glass walls by hand-worked cases, films and strips where a GL library is."""
+"""Cameras, footprints and glass walls by hand-worked cases; films, strips and portraits with GL."""
 
 from __future__ import annotations
 
@@ -12,16 +12,22 @@ import cv2
 import numpy as np
 import pytest
 
+from app.navigation.navigator import Placed
 from app.pictures.film import tile
+from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from app.pictures.rendering import (
     Boxes,
+    Footmarks,
     Recording,
     View,
     camera_path,
     eye_position,
+    footmarks_of,
     hides,
     points_to_see,
 )
+from planner.plan import FootstepPlan, feet_at
+from planner.robot_model import FootShape, Side
 from sim.gl import NO_GL, NoGlError, prepare_gl
 
 
@@ -239,3 +245,123 @@ def test_a_film_has_the_frames_of_the_walk(drawn):
     assert len(frames) == 41
     assert is_red(frames[0]).any()
     assert is_red(frames[-1]).any()
+
+
+FOOT = FootShape(length_m=0.2, width_m=0.1)
+
+
+def plan_of(*steps: tuple[Side, float]) -> FootstepPlan:
+    """Steps of a side each, at x and the height 0.3."""
+    return FootstepPlan(
+        start_feet_world=feet_at((0, 0, 0), 0.2),
+        start=(0, 0, 0),
+        goal=(1, 0, 0),
+        side=np.array([side for side, _ in steps], np.int8),
+        pose_world=np.array([[x_m, 0, 0.3, 0] for _, x_m in steps]),
+    )
+
+
+def placed_at(side: Side, x_m: float, time_s: float) -> Placed:
+    pose = np.array([x_m, 0.0, 0.3, 0.0])
+    return Placed(side=side, asked_world=pose, placed_world=pose, time_s=time_s)
+
+
+def shown(marks: Footmarks, time_s: float) -> list[tuple[float, bool]]:
+    """x and whether it is a full print, of all marks of that time."""
+    now = (marks.from_s <= time_s) & (time_s < marks.until_s)
+    return sorted(zip(marks.pose_world[now, 0], marks.rgba[now, 3] > 0.5, strict=True))
+
+
+def test_a_planned_step_gives_way_to_where_the_foot_came_down():
+    plans = [(0.0, plan_of((Side.LEFT, 1.0), (Side.RIGHT, 2.0)))]
+    marks = footmarks_of(FOOT, plans, [placed_at(Side.LEFT, 1.01, 1.5)])
+    assert shown(marks, 0.0) == [(1.0, False), (2.0, False)]
+    assert shown(marks, 1.5) == [(1.01, True), (2.0, False)]
+    assert shown(marks, 99.0) == [(1.01, True), (2.0, False)]
+
+
+def test_a_new_plan_takes_the_place_of_the_old_one():
+    plans = [
+        (0.0, plan_of((Side.LEFT, 1.0), (Side.RIGHT, 2.0), (Side.LEFT, 3.0))),
+        (1.5, plan_of((Side.RIGHT, 2.5))),
+    ]
+    marks = footmarks_of(
+        FOOT, plans, [placed_at(Side.LEFT, 1.0, 1.5), placed_at(Side.RIGHT, 2.5, 2.5)]
+    )
+    assert shown(marks, 1.4) == [(1.0, False), (2.0, False), (3.0, False)]
+    assert shown(marks, 1.5) == [(1.0, True), (2.5, False)]
+    assert shown(marks, 2.5) == [(1.0, True), (2.5, True)]
+
+
+def test_no_walk_leaves_no_marks():
+    assert shown(footmarks_of(FOOT, [], []), 0.0) == []
+
+
+def test_they_lie_on_the_ground_in_the_colour_of_their_foot():
+    mujoco = pytest.importorskip("mujoco")
+    marks = footmarks_of(FOOT, [(0.0, plan_of((Side.LEFT, 1.0), (Side.RIGHT, 2.0)))], [])
+    scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
+    marks.add_to(scene, 0.0)
+    assert scene.ngeom == 2
+    left, right = scene.geoms[0], scene.geoms[1]
+    assert left.pos[0] == pytest.approx(1.0)
+    assert left.pos[2] - left.size[2] == pytest.approx(0.3)
+    assert list(left.size[:2]) == pytest.approx([0.1, 0.05])
+    # Blue for the left foot, orange for the right one.
+    assert left.rgba[2] > left.rgba[0]
+    assert right.rgba[0] > right.rgba[2]
+    full = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 1)
+    marks.add_to(full, 0.0)
+    assert full.ngeom == 1
+
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def draw(path: Path, *words: str) -> np.ndarray:
+    command = [
+        sys.executable,
+        "-m",
+        "app.pictures.portrait",
+        "--robot",
+        "hrp5p",
+        "--image",
+        str(path),
+    ]
+    done = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.stderr.strip() == f"error: {NO_GL}":
+        pytest.skip(NO_GL)
+    assert done.returncode == 0, done.stderr
+    picture = cv2.imread(str(path))
+    assert picture is not None
+    return picture
+
+
+def test_a_portrait_shows_the_robot_dressed_or_as_it_collides(tmp_path):
+    dressed = draw(tmp_path / "dressed.png")
+    shapes = draw(tmp_path / "shapes.png", "--shapes")
+    assert dressed.shape == shapes.shape == (TILE_HEIGHT, TILE_WIDTH * len(VIEWS_DEG), 3)
+    # The accents are orange; sky, floor and bare shapes have no such colour.
+    for picture, coloured in ((dressed, True), (shapes, False)):
+        blue, _, red = np.moveaxis(picture.astype(int), 2, 0)
+        orange = red - blue > 60
+        for view in np.split(orange, len(VIEWS_DEG), axis=1):
+            assert (view.sum() > 100) == coloured
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--robot", "r2d2", "--image", "x.png"], "choose one of"),
+        (["--image", "no/such/folder/x.png"], "not a folder"),
+        (["--image", "x.pdf"], "must end in"),
+        ([], "--image FILE must be given"),
+    ],
+)
+def test_wrong_input_is_told_in_one_line(words, told, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert told in error
+    assert error.count("\n") == 1

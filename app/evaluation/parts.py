@@ -104,8 +104,7 @@ def finite(value: Any) -> Any:
     return value
 
 
-# Numbers of the paper that reports set beside ours, each with where it stands.
-#
+# Numbers of the paper that reports set beside ours, each with where it stands in it.
 # Singh, Benallegue, Morisawa, Cisneros, Kanehiro: Learning Bipedal Walking On Planned Footsteps For
 # Humanoid Robots, IEEE-RAS Humanoids 2022 (arXiv 2207.12644). Numbers that the paper has but that
 # nobody could look up here are left out, not guessed. Its limits on the joints of HRP-5P are in

@@ -1,4 +1,4 @@
-"""Pictures of a plan over its map, drawn with OpenCV."""
+"""Drawing on a map in metres of the world, with OpenCV: soles, paths, poses, whole plans."""
 
 from __future__ import annotations
 
@@ -10,17 +10,32 @@ from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import Cell, OccupancyGrid
 from planner.plan import FootstepPlan, feet_at, pair_pose
-from planner.robot_model import Side, StepModel
+from planner.robot_model import FootShape, Side, StepModel
 
-# How pictures show the height of the floor: darker is higher, with a line along every edge.
-Colour = tuple[int, int, int]
-
-Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]  # blue, green, red
+Picture = NDArray[np.uint8]
 FloatArray = NDArray[np.float64]
 
-# Blue, green, red.
-_LOWEST, _HIGHEST, _EDGE = (250, 250, 250), (172, 204, 222), (140, 166, 182)
-_EDGE_M = 0.02  # a rise of more than this from cell to cell gets a line
+# The palette of all pictures. The two feet differ in lightness too, for the colour-blind.
+LEFT: Colour = (200, 110, 30)
+RIGHT: Colour = (40, 120, 240)
+START: Colour = (90, 150, 50)
+GOAL: Colour = (60, 40, 200)
+PATH: Colour = (150, 130, 120)
+BODY: Colour = (150, 60, 112)
+PLANNED: Colour = (50, 50, 50)
+INK: Colour = (54, 48, 45)
+PAPER: Colour = (255, 255, 255)
+_FLOOR: Colour = (250, 250, 250)
+_WALL: Colour = (70, 65, 62)
+_UNKNOWN: Colour = (205, 205, 205)
+_GRID: Colour = (232, 232, 232)
+_GRID_TEXT: Colour = (90, 90, 90)
+# The higher the free floor, the darker; a rise of more than _EDGE_M between cells gets a line.
+_LOWEST, _HIGHEST, _EDGE = _FLOOR, (172, 204, 222), (140, 166, 182)
+_EDGE_M = 0.02
+_SUB = 4  # bits of a pixel's fraction in OpenCV's drawing calls
+_LONGEST_PX, _MOST_PX_PER_M = 1600, 240
 
 
 def height_range(grid: OccupancyGrid) -> tuple[float, float]:
@@ -37,7 +52,7 @@ def height_colour(height_m: float, extremes_m: tuple[float, float]) -> Colour:
     return blue, green, red
 
 
-def _shades(heights_m: FloatArray, extremes_m: tuple[float, float]) -> Image:
+def _shades(heights_m: FloatArray, extremes_m: tuple[float, float]) -> Picture:
     """Colours (..., 3) of floor at heights (...)."""
     low_m, high_m = extremes_m
     share = np.clip((heights_m - low_m) / max(high_m - low_m, 1e-9), 0, 1)[..., None]
@@ -45,7 +60,7 @@ def _shades(heights_m: FloatArray, extremes_m: tuple[float, float]) -> Image:
 
 
 def shade_floor(
-    image: Image,
+    image: Picture,
     elevation_m: FloatArray,
     free: NDArray[np.bool_],
     extremes_m: tuple[float, float],
@@ -68,21 +83,6 @@ def shade_floor(
             # One pixel is hard to see where a cell has several.
             edge |= np.roll(edge, 1, axis=axis)
         image[edge & shown] = _EDGE
-
-
-# Blue, green, red. The two feet differ in lightness too, for those who see colours otherwise.
-LEFT: Colour = (200, 110, 30)
-RIGHT: Colour = (40, 120, 240)
-START: Colour = (90, 150, 50)
-GOAL: Colour = (60, 40, 200)
-PATH: Colour = (150, 130, 120)
-_FLOOR: Colour = (250, 250, 250)
-_WALL: Colour = (70, 65, 62)
-_UNKNOWN: Colour = (205, 205, 205)
-_GRID: Colour = (232, 232, 232)
-_INK: Colour = (90, 90, 90)
-_SUB = 4  # bits of a pixel's fraction in OpenCV's drawing calls
-_LONGEST_PX, _MOST_PX_PER_M = 1600, 240
 
 
 class Canvas:
@@ -117,7 +117,7 @@ class Canvas:
         colours = np.array([_FLOOR, _WALL, _UNKNOWN], np.uint8)
         shrink = width < cells.shape[1]
         how = cv2.INTER_AREA if shrink else cv2.INTER_NEAREST
-        self.image: Image = np.asarray(
+        self.image: Picture = np.asarray(
             cv2.resize(colours[cells], (width, height), interpolation=how), np.uint8
         )
         if grid.elevation_m is not None:
@@ -141,7 +141,7 @@ class Canvas:
             else:
                 lines[height - 1 - px, :] = True
         self.image[lines & floor] = _GRID
-        self._text(f"grid {every_m:g} m", (8, height - 8), 0.42, _INK)
+        self._text(f"grid {every_m:g} m", (8, height - 8), 0.42, _GRID_TEXT)
 
     def pixels(self, xy_world: ArrayLike) -> NDArray[np.int32]:
         """Pixels (..., 2) of points (..., 2), with _SUB bits of fraction."""
@@ -168,21 +168,17 @@ class Canvas:
         thickness = max(1, round(width_m * self.px_per_m))
         cv2.polylines(self.image, points, True, colour, thickness, cv2.LINE_AA, _SUB)
 
+    def _fill(self, xy_world: ArrayLike, colour: Colour) -> None:
+        cv2.fillPoly(self.image, [self.pixels(xy_world)], colour, cv2.LINE_AA, _SUB)
+
     def foot(self, pose_world: ArrayLike, side: Side, model: StepModel, opacity: float) -> None:
         """A sole with a mark at its toe. pose_world: x_m, y_m, z_m, yaw_rad."""
-        x_m, y_m, _, yaw_rad = (float(v) for v in np.asarray(pose_world, dtype=float))
-        half_l, half_w = model.foot.length_m / 2, model.foot.width_m / 2
-        corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (half_l, half_w)
         colour = LEFT if side == Side.LEFT else RIGHT
-        self.polygon(_placed(corners, x_m, y_m, yaw_rad), colour, opacity=opacity)
-        toe = np.array([[0.85, 0.0], [0.3, 0.6], [0.3, -0.6]]) * (half_l, half_w)
-        cv2.fillPoly(
-            self.image,
-            [self.pixels(_placed(toe, x_m, y_m, yaw_rad))],
-            colour,
-            cv2.LINE_AA,
-            _SUB,
-        )
+        self.polygon(sole_corners(pose_world, model.foot), colour, opacity=opacity)
+        half_m = model.foot.length_m / 2, model.foot.width_m / 2
+        toe = np.array([[0.85, 0.0], [0.3, 0.6], [0.3, -0.6]]) * half_m
+        x_m, y_m, _, yaw_rad = np.asarray(pose_world, dtype=float)
+        self._fill(_placed(toe, x_m, y_m, yaw_rad), colour)
 
     def arrow(self, pose_world: ArrayLike, colour: Colour, label: str) -> None:
         """A pose x_m, y_m, yaw_rad as an arrow from its point along its heading."""
@@ -193,13 +189,7 @@ class Canvas:
         tip = np.array([[0.5, 0.0], [0.3, 0.1], [0.3, -0.1]]) * unit
         for colour_now, width_m in (((255, 255, 255), 0.075), (colour, 0.045)):
             self.line(_placed(shaft, x_m, y_m, yaw_rad), colour_now, width_m * unit)
-        cv2.fillPoly(
-            self.image,
-            [self.pixels(_placed(tip, x_m, y_m, yaw_rad))],
-            colour,
-            cv2.LINE_AA,
-            _SUB,
-        )
+        self._fill(_placed(tip, x_m, y_m, yaw_rad), colour)
         centre = self.pixels((x_m, y_m))
         radius = round(0.07 * unit * self.px_per_m * (1 << _SUB))
         cv2.circle(self.image, tuple(centre), radius, colour, -1, cv2.LINE_AA, _SUB)
@@ -226,6 +216,13 @@ def _placed(points: FloatArray, x_m: float, y_m: float, yaw_rad: float) -> Float
     return points @ np.array([[cos, sin], [-sin, cos]]) + (x_m, y_m)
 
 
+def sole_corners(pose_world: ArrayLike, foot: FootShape) -> FloatArray:
+    """Corners (4, 2) of a sole at a pose x_m, y_m, z_m, yaw_rad."""
+    x_m, y_m, _, yaw_rad = np.asarray(pose_world, dtype=float)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2
+    return _placed(corners * (foot.length_m, foot.width_m), x_m, y_m, yaw_rad)
+
+
 def body_path(plan: FootstepPlan) -> FloatArray:
     """Pair poses (N + 1, 3) from the start to the end of a plan."""
     feet = np.array(plan.start_feet_world)
@@ -242,7 +239,7 @@ def draw_plan(
     model: StepModel,
     *,
     shown_world: ArrayLike | None = None,
-) -> Image:
+) -> Picture:
     """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
 
     Large maps are cropped to the surroundings of the plan, and any map to those of points
@@ -266,13 +263,3 @@ def draw_plan(
     canvas.arrow(plan.start, START, "start")
     canvas.arrow(plan.goal, GOAL, "goal")
     return canvas.image
-
-
-def write_picture(image: Image, path: str) -> None:
-    """Writes a picture; raises OSError with one line where the file cannot be written."""
-    try:
-        written = cv2.imwrite(path, image)
-    except cv2.error:
-        written = False
-    if not written:
-        raise OSError(f"picture {path}: cannot be written (PNG or JPEG in an existing folder)")

@@ -11,8 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.output import write_picture
-from app.pictures.canvas import GOAL, LEFT, PATH, RIGHT, START, Canvas, body_path
-from app.pictures.plan_pictures import INK, PAPER, Swatch, with_legend
+from app.pictures.canvas import (
+    GOAL,
+    INK,
+    LEFT,
+    PAPER,
+    PATH,
+    RIGHT,
+    START,
+    Canvas,
+    FloatArray,
+    Picture,
+    body_path,
+)
+from app.pictures.plan_pictures import Swatch, with_legend
 from maps.grid import OccupancyGrid
 from maps.obstacles import with_boxes
 from planner.corpus.check import plan_of
@@ -33,9 +45,6 @@ _LEGEND = (
     Swatch(colour=START, text="start"),
     Swatch(colour=GOAL, text="goal"),
 )
-
-Image = NDArray[np.uint8]
-Floats = NDArray[np.float64]
 
 
 def write_contact_sheet(
@@ -62,7 +71,7 @@ def write_contact_sheet(
     rows = math.ceil(len(tiles) / cols)
     height = max(tile.shape[0] for tile in tiles) + _GAP_PX
     width = _TILE_PX + _GAP_PX
-    sheet: Image = np.full((rows * height, cols * width + _GAP_PX, 3), PAPER, np.uint8)
+    sheet: Picture = np.full((rows * height, cols * width + _GAP_PX, 3), PAPER, np.uint8)
     for k, tile in enumerate(tiles):
         row, col = k // cols * height, _GAP_PX + k % cols * width
         sheet[row : row + tile.shape[0], col : col + tile.shape[1]] = tile
@@ -71,8 +80,8 @@ def write_contact_sheet(
 
 
 def _tile(
-    plan: FootstepPlan, grid: OccupancyGrid, model: StepModel, around: Floats, caption: str
-) -> Image:
+    plan: FootstepPlan, grid: OccupancyGrid, model: StepModel, around: FloatArray, caption: str
+) -> Picture:
     """One plan over its floor, as wide or as high as a tile, with a caption above."""
     canvas = Canvas(grid, around_world=around, margin_m=_MARGIN_M)
     # Below the feet: in so small a picture they would hide the first and last steps.
@@ -86,7 +95,7 @@ def _tile(
     scale = _TILE_PX / max(canvas.image.shape[:2])
     size = tuple(max(1, round(v * scale)) for v in canvas.image.shape[1::-1])
     image = cv2.resize(canvas.image, size, interpolation=cv2.INTER_AREA)
-    tile: Image = np.full((_CAPTION_PX + image.shape[0], _TILE_PX, 3), PAPER, np.uint8)
+    tile: Picture = np.full((_CAPTION_PX + image.shape[0], _TILE_PX, 3), PAPER, np.uint8)
     tile[_CAPTION_PX:, : image.shape[1]] = image
     text = f"{caption}{len(plan)} steps, cost {plan.cost_m:.2f} m"
     cv2.putText(tile, text, (2, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Films of a recorded walk: H.264 in an MP4 file."""
+"""A recorded walk as a film (H.264 in an MP4 file) and as a strip of moments (PNG)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from app.output import ProgressBar, replacing, write_picture
-from app.pictures.rendering import FOLLOW, SIDE, Footmarks, Picture, Recording, View, drawing
+from app.pictures.canvas import INK, Picture
+from app.pictures.rendering import FOLLOW, SIDE, Footmarks, Recording, View, drawing
 
 if TYPE_CHECKING:
     import mujoco
@@ -58,11 +59,6 @@ def write_film(
             bar.update(number + 1)
         film.mux(stream.encode())
     return count
-
-
-# Picture strips: moments of a recorded walk side by side in one PNG.
-
-INK = (40, 40, 40)
 
 
 def write_strip(
@@ -113,5 +109,5 @@ def tile(pictures: list[Picture], columns: int) -> Picture:
 
 def _labelled(picture: Picture, text: str) -> Picture:
     labelled = np.ascontiguousarray(picture)
-    cv2.putText(labelled, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+    cv2.putText(labelled, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK[::-1], 1, cv2.LINE_AA)
     return labelled

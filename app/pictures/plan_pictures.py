@@ -1,4 +1,4 @@
-"""path.png: the map, the planned feet, the feet as they came down, and the path of the body."""
+"""Pictures of plans with a legend: as walked (path.png), the search, what refinement does."""
 
 from __future__ import annotations
 
@@ -16,31 +16,36 @@ from numpy.typing import NDArray
 
 from app.output import replacing, write_picture
 from app.pictures.canvas import (
+    BODY,
     GOAL,
+    INK,
     LEFT,
+    PAPER,
     PATH,
+    PLANNED,
     RIGHT,
     START,
     Canvas,
     Colour,
+    FloatArray,
+    Picture,
     draw_plan,
     height_colour,
     height_range,
+    sole_corners,
 )
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
-from planner.robot_model import FootShape, Side, StepModel
+from planner.robot_model import Side, StepModel
 from planner.search.search_record import SearchRecord
 
-# A band below a picture that says what it shows: a title and what the colours mean.
-
-Picture = NDArray[np.uint8]
-
-INK: Colour = (54, 48, 45)
-PAPER: Colour = (255, 255, 255)
-_PALE, _OUTLINE = 230, (170, 170, 170)  # what is paler than this shows on paper by its outline
+_PALE, _OUTLINE = 230, (170, 170, 170)  # paler swatches than this get an outline
 LEAST_WIDTH_PX = 640
 LINE_HEIGHT_PX = 26
+LARGE_MAP_M = 12.0  # larger maps are cut to the surroundings of the walk
+_GAP_PX = 16
+FEET = {Side.LEFT: "#1f77b4", Side.RIGHT: "#d62728"}
+GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +55,13 @@ class Swatch:
     colour: Colour
     text: str
     filled: bool = True
+
+
+_PLAN_LEGEND = [
+    Swatch(colour=LEFT, text="left foot"),
+    Swatch(colour=RIGHT, text="right foot"),
+    Swatch(colour=PATH, text="midway between the feet"),
+]
 
 
 def with_legend(picture: Picture, title: str, legend: Sequence[Swatch]) -> Picture:
@@ -96,14 +108,6 @@ def _write(picture: Picture, text: str, left_px: int, base_px: int) -> None:
     cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
 
 
-FloatArray = NDArray[np.float64]
-
-# Blue, green, red.
-BODY: Colour = (150, 60, 112)
-PLANNED: Colour = (50, 50, 50)
-LARGE_MAP_M = 12.0
-
-
 def write_path_picture(
     path: Path,
     grid: OccupancyGrid,
@@ -138,12 +142,7 @@ def write_path_picture(
 
 def plan_picture(grid: OccupancyGrid, model: StepModel, plan: FootstepPlan) -> Picture:
     """The plan alone, (H, W, 3)."""
-    legend = [
-        Swatch(colour=LEFT, text="left foot"),
-        Swatch(colour=RIGHT, text="right foot"),
-        Swatch(colour=PATH, text="midway between the feet"),
-    ]
-    return with_legend(draw_plan(plan, grid, model), _title(plan), legend + _heights(grid))
+    return with_legend(draw_plan(plan, grid, model), _title(plan), _PLAN_LEGEND + _heights(grid))
 
 
 def walk_picture(
@@ -161,8 +160,8 @@ def walk_picture(
         canvas.foot(plan.start_feet_world[side], side, model, 0.12)
     for placed, pose_world in zip(placed_side, placed_world, strict=True):
         canvas.foot(pose_world, Side(int(placed)), model, 0.45)
-    for box in foot_boxes(plan.pose_world, model.foot):
-        canvas.polygon(box, PLANNED, width_m=0.008)
+    for pose_world in plan.pose_world:
+        canvas.polygon(sole_corners(pose_world, model.foot), PLANNED, width_m=0.008)
     if len(body_xy_world) > 1:
         canvas.line(body_xy_world, BODY, 0.02)
     canvas.arrow(plan.start, START, "start")
@@ -187,17 +186,6 @@ def _heights(grid: OccupancyGrid) -> list[Swatch]:
     ]
 
 
-def foot_boxes(poses_world: FloatArray, foot: FootShape) -> list[FloatArray]:
-    """Corners (4, 2) of the sole at each pose x_m, y_m, z_m, yaw_rad of (N, 4)."""
-    x, y = foot.length_m / 2, foot.width_m / 2
-    corners = np.array([[x, y], [-x, y], [-x, -y], [x, -y]])
-    boxes = []
-    for x_m, y_m, _, yaw_rad in poses_world:
-        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-        boxes.append(corners @ np.array([[cos, sin], [-sin, cos]]) + np.array([x_m, y_m]))
-    return boxes
-
-
 def _surroundings(
     grid: OccupancyGrid, plan: FootstepPlan, body_xy_world: FloatArray
 ) -> FloatArray | None:
@@ -211,12 +199,6 @@ def _title(plan: FootstepPlan) -> str:
     if not plan.found:
         return f"no plan: {plan.status}: {plan.reason}"
     return f"{plan.robot} on {plan.map}: {len(plan)} steps planned, cost {plan.cost_m:.2f} m"
-
-
-# How a search went: the poses that it looked at, and its plan's cost over time.
-
-FEET = {Side.LEFT: "#1f77b4", Side.RIGHT: "#d62728"}
-GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown
 
 
 def write_search_picture(
@@ -256,7 +238,7 @@ def _draw_expanded(
     for side, colour in FEET.items():
         feet = plan.pose_world[plan.side == side]
         axes.plot(feet[:, 0], feet[:, 1], "o", ms=3, color=colour, label=side.name.lower())
-    axes.set(aspect="equal", xlabel="x, m", ylabel="y, m", title="where it looked")
+    axes.set(aspect="equal", xlabel="x, m", ylabel="y, m", title="expanded states")
     axes.legend(fontsize=8, loc="upper right")
 
 
@@ -264,12 +246,8 @@ def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
     time_ms = 1e3 * record.time_s
     found = np.isfinite(record.cost_m)
     axes.step(time_ms[found], record.cost_m[found], where="post", label="cost of the best plan")
-    bound_m = (
-        np.maximum.accumulate(record.lower_bound_m)
-        if len(record.lower_bound_m)
-        else record.lower_bound_m
-    )
-    axes.step(time_ms, bound_m, where="post", label="any plan costs at least")
+    bound_m = np.maximum.accumulate(record.lower_bound_m)
+    axes.step(time_ms, bound_m, where="post", label="lower bound of any plan")
     if plan.cost_before_refinement_m is not None:
         label = "the same, refined off the lattice"
         axes.plot(1e3 * plan.time_s, plan.cost_m, "k*", ms=9, label=label)
@@ -277,11 +255,6 @@ def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="lower right")
-
-
-# A plan before and after refinement, side by side over the same part of the map.
-
-_GAP_PX = 16
 
 
 def write_refinement_picture(
@@ -302,16 +275,11 @@ def refinement_picture(
     shown_world = np.vstack(
         [after.start_feet_world[:, :2], before.pose_world[:, :2], after.pose_world[:, :2]]
     )
-    legend = [
-        Swatch(colour=LEFT, text="left foot"),
-        Swatch(colour=RIGHT, text="right foot"),
-        Swatch(colour=PATH, text="midway between the feet"),
-    ]
     panels = [
         with_legend(
             draw_plan(plan, grid, model, shown_world=shown_world),
             f"{when}: {len(plan)} steps, cost {plan.cost_m:.2f} m",
-            legend,
+            _PLAN_LEGEND,
         )
         for when, plan in (("before", before), ("after", after))
     ]

@@ -12,7 +12,8 @@ import numpy as np
 
 from app.options import FileOption, RobotName, find_robot, parse_options
 from app.output import PICTURE_ENDINGS, ExitCode, InputError, require_writable, write_picture
-from app.pictures.rendering import Picture, Recording, View, drawing
+from app.pictures.canvas import Picture
+from app.pictures.rendering import Recording, View, drawing
 from sim.gl import NoGlError, prepare_gl
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
 

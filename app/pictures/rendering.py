@@ -1,4 +1,4 @@
-"""Pictures of a recorded walk: the cameras, and the drawing of single frames."""
+"""Frames of a recorded walk: camera, footprints on the floor, walls in the way made of glass."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from app.pictures.canvas import LEFT, RIGHT
+from app.pictures.canvas import LEFT, RIGHT, FloatArray, Picture
 from planner.plan import FootstepPlan
 from planner.robot_model import FootShape, Side
 from sim.gl import NoGlError
@@ -21,15 +21,13 @@ if TYPE_CHECKING:
 
     from app.navigation.navigator import Placed
 
-
-# Which walls stand between the camera and the robot, so that they can be drawn as glass.
-
-FloatArray = NDArray[np.float64]
-
 GLASS_ALPHA = 0.06
 # Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
 _SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
 _SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)
+# Footprints: planned ones below placed ones, so that no two fight for the same pixels.
+_PLANNED_ALPHA, _PLACED_ALPHA = 0.35, 0.9
+_PLANNED_THICKNESS_M, _PLACED_THICKNESS_M = 0.004, 0.007
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,16 +109,9 @@ def eye_position(
     return np.asarray(lookat_m, dtype=float) - distance_m * forward
 
 
-# Footprints on the floor of films and strips: where feet are to stand, and where they did.
-
-_PLANNED_ALPHA, _PLACED_ALPHA = 0.35, 0.9
-# Above one another, so that no two fight for the same pixels.
-_PLANNED_THICKNESS_M, _PLACED_THICKNESS_M = 0.004, 0.007
-
-
 @dataclass(frozen=True, kw_only=True)
 class Footmarks:
-    """Plates on the ground, each shown for a while.
+    """Footprints on the floor of films and strips: plates, each shown for a while.
 
     pose_world (N, 4) x, y, z, yaw of the ground below; rgba (N, 4) from 0 to 1; thickness_m (N,);
     each is shown from from_s (N,) until before until_s (N,).
@@ -193,9 +184,6 @@ def _rgba(side: Side, is_placed: bool) -> list[float]:
     colour = LEFT if side is Side.LEFT else RIGHT
     alpha = _PLACED_ALPHA if is_placed else _PLANNED_ALPHA
     return [*(value / 255 for value in colour[::-1]), alpha]
-
-
-Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""The picture of a walk: what is drawn stands where it belongs, whatever the map's frame."""
+"""Pictures of plans and walks: what is drawn stands where it belongs, in any frame of the map."""
 
 from __future__ import annotations
 
@@ -9,22 +9,98 @@ import numpy as np
 import pytest
 
 from app.output import InputError, write_picture
-from app.pictures.canvas import LEFT, RIGHT, Canvas
-from app.pictures.plan_pictures import (
+from app.pictures.canvas import (
     BODY,
+    LEFT,
     PLANNED,
+    RIGHT,
+    Canvas,
+    body_path,
+    draw_plan,
+    sole_corners,
+)
+from app.pictures.plan_pictures import (
     Swatch,
-    foot_boxes,
     walk_picture,
     with_legend,
     write_path_picture,
 )
 from maps.grid import Cell, OccupancyGrid
+from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, feet_at
-from planner.robot_model import FootShape
+from planner.planner import plan_footsteps
+from planner.robot_model import FootShape, Side
 from sim.robots import get_robot
+from tests.planner_floor import FLOOR, small_plan
+from tests.planner_oracle import small_model
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return small_plan()
+
+
+def test_a_picture_shows_feet_where_they_are(plan):
+    model = small_model()
+    image = draw_plan(plan, FLOOR, model)
+    height, width = image.shape[:2]
+    assert width / height == pytest.approx(4 / 3, abs=0.01)
+    scale = width / 4.0
+    for side, pose in list(zip(plan.side, plan.pose_world, strict=True))[:-2]:
+        # The toe mark is drawn in the foot's own colour, half a foot ahead of its centre.
+        x_m, y_m = pose[0] + 0.06 * math.cos(pose[3]), pose[1] + 0.06 * math.sin(pose[3])
+        colour = image[round(height - y_m * scale), round(x_m * scale)].astype(int)
+        expected = LEFT if side == Side.LEFT else RIGHT
+        assert np.abs(colour - expected).max() < 40
+
+
+def test_a_large_map_is_cropped_to_the_plan():
+    grid = OccupancyGrid(cells=np.zeros((200, 400), np.uint8), resolution_m=0.1)
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(10, 10, 0),
+        goal=(11, 10, 0),
+        options=PlannerOptions(refine=False),
+    )
+    image = draw_plan(plan, grid, small_model())
+    # About 1 m and 1.5 m on each side wide, 0.2 m and the same high.
+    assert image.shape[1] / image.shape[0] == pytest.approx(4.0 / 3.2, rel=0.1)
+
+
+def test_a_failed_plan_and_a_tiny_map_can_be_drawn():
+    grid = OccupancyGrid(cells=np.full((1, 3), Cell.UNKNOWN, np.uint8), resolution_m=0.05)
+    plan = plan_footsteps(
+        grid,
+        small_model(),
+        start=(0.1, 0.02, 0),
+        goal=(9, 9, 0),
+        options=PlannerOptions(refine=False),
+    )
+    assert plan.status is PlanStatus.OFF_MAP
+    assert draw_plan(plan, grid, small_model()).ndim == 3
+
+
+def test_the_body_path_joins_start_and_goal(plan):
+    path = body_path(plan)
+    assert len(path) == len(plan) + 1
+    np.testing.assert_allclose(path[0], plan.start, atol=1e-9)
+    np.testing.assert_allclose(path[-1], plan.goal, atol=1e-9)
+
+
+def test_a_canvas_and_its_map_agree_on_pixels():
+    grid = OccupancyGrid(cells=np.zeros((20, 30), np.uint8), resolution_m=0.1, origin=(5, -2, 0.4))
+    canvas = Canvas(grid)
+    cells = np.array([[0, 0], [19, 29], [7, 11]])
+    pixels = canvas.pixels(grid.cell_to_world(cells)) / 16
+    size = canvas.image.shape[0] / 20
+    np.testing.assert_allclose(pixels[:, 0], (cells[:, 1] + 0.5) * size - 0.5, atol=0.1)
+    np.testing.assert_allclose(pixels[:, 1], (19.5 - cells[:, 0]) * size - 0.5, atol=0.1)
+
 
 MODEL = get_robot("jvrc1").step_model
+
+
 NOBODY = np.zeros((0, 2))
 
 
@@ -74,7 +150,7 @@ def test_feet_are_drawn_where_they_came_down(origin):
         assert is_like(colour_at(picture, grid, *placed[number, :2]), colour)
         # A planned foot is an outline: paper in the middle, dark at its front edge.
         assert colour_at(picture, grid, *planned[number, :2]).min() > 200
-        (box,) = foot_boxes(planned[number : number + 1], MODEL.foot)
+        box = sole_corners(planned[number], MODEL.foot)
         assert colour_at(picture, grid, *(box[0] + box[3]) / 2).max() < 120
 
 
@@ -96,7 +172,7 @@ def test_the_path_of_the_body_is_drawn():
 
 def test_corners_of_a_turned_foot():
     foot = FootShape(length_m=0.2, width_m=0.1)
-    (corners,) = foot_boxes(np.array([[1.0, 2.0, 0.0, math.pi / 2]]), foot)
+    corners = sole_corners((1.0, 2.0, 0.0, math.pi / 2), foot)
     expected = {(0.95, 2.1), (0.95, 1.9), (1.05, 1.9), (1.05, 2.1)}
     assert {(round(x, 9), round(y, 9)) for x, y in corners} == expected
 
