@@ -13,10 +13,11 @@ from app.cli import main
 from app.commands import evaluate
 from app.commands.evaluate import SECTION_NAMES, EvaluateOptions
 from app.evaluation import limits, sections
+from app.evaluation.comparison import read_beside
 from app.evaluation.figures import FIGURES, write_figures
 from app.evaluation.limits import measured_of, sole_errors_m
-from app.evaluation.parts import EvaluationSetup, finite
-from app.evaluation.report_text import plain_joint, read_beside, report, table
+from app.evaluation.parts import EvaluationSetup, finite, table
+from app.evaluation.report_text import plain_joint, report
 from app.evaluation.sections import SECTIONS, mode_row
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks

@@ -55,64 +55,20 @@ if TYPE_CHECKING:
     from planner.corpus.check import Rules
     from planner.corpus.generate import Drawn, RandomPlans
 
+FORMATS = ("npz", "lhw")
+TEXT, SHEET, HISTOGRAMS = "plans.txt", "plans.png", "steps.png"
+# All files that a corpus may have.
+PATTERNS = (PLANS, YAML, f"{IMAGE}.*", f"{HEIGHTS}.*", TEXT, SHEET, HISTOGRAMS, MANIFEST)
+GOAL_X_M, GOAL_Y_M = Interval(0.0, 2.0), Interval(-1.0, 1.0)
+GOAL_YAW_RAD = Interval(-math.pi / 2, math.pi / 2)
+ANY_HEADING = Interval(-math.pi, math.pi)
+ORIGIN = Pose(0.0, 0.0, 0.0)
+# Expansions for one plan before it counts as failed: no clock, so that corpora repeat.
+MOST_EXPANSIONS = 300_000
+DRAW_PORTION = 25
 CHECK_FORMAT = "footstep-corpus-check/1"
 CHECK_PORTION = 50
 _SHOWN = 20
-
-
-def run_check(options: DatasetCheckOptions) -> int:
-    """Carries the command out; returns the exit code."""
-    from planner.corpus.check import rules_of
-
-    with as_bad_input(CorpusError, MapError):
-        corpus = Corpus.load(options.folder, even_if_changed=True)
-        rules = rules_of(options.folder, corpus)
-    if options.robot is not None:
-        rules = dataclasses.replace(rules, model=find_robot(options.robot).step_model)
-    wrong = check(corpus, rules, options.workers)
-    digest = hashlib.sha256((options.folder / PLANS).read_bytes()).hexdigest()
-    changed = digest != corpus.manifest.get("sha256")
-    document = {
-        "format": CHECK_FORMAT,
-        "folder": str(options.folder),
-        "robot": options.robot or corpus.robot,
-        "plans": len(corpus),
-        "steps": len(corpus.side),
-        "changed": changed,
-        "wrong": {str(number): lines for number, lines in wrong.items()},
-    }
-    if options.json:
-        print(to_json(document), end="")
-    else:
-        counts = f"{len(corpus)} plans with {len(corpus.side)} steps"
-        print(f"{counts}: " + (f"{len(wrong)} plans are wrong" if wrong else "all are right"))
-    lines = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
-    for line in lines[:_SHOWN]:
-        say(line)
-    if len(lines) > _SHOWN:
-        say(f"... and {len(lines) - _SHOWN} more; --json shows all")
-    if changed:
-        say(f"{PLANS} is not the file that {MANIFEST} was written for")
-    return ExitCode.BAD_INPUT if wrong or changed else ExitCode.DONE
-
-
-def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
-    """What is wrong, by the number of the plan; plans that are right are left out."""
-    from planner.corpus.check import check_plans, plan_of
-
-    portion_of = portions(len(corpus), workers, CHECK_PORTION)
-    width_m = rules.model.stance_width_m
-    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
-    wrong: dict[int, list[str]] = {}
-    with ProgressBar("plans", len(corpus)) as bar:
-        found = in_order(functools.partial(check_plans, rules), jobs, workers)
-        for numbers, lines in zip(portion_of, found, strict=True):
-            wrong.update({n: those for n, those in zip(numbers, lines, strict=True) if those})
-            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
-    return wrong
-
-
-FORMATS = ("npz", "lhw")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,18 +155,6 @@ class DatasetCheckOptions:
 
     json: bool = False
     """Print what was found as a document on standard output, and nothing else there."""
-
-
-TEXT, SHEET, HISTOGRAMS = "plans.txt", "plans.png", "steps.png"
-# All that a corpus may have.
-PATTERNS = (PLANS, YAML, f"{IMAGE}.*", f"{HEIGHTS}.*", TEXT, SHEET, HISTOGRAMS, MANIFEST)
-GOAL_X_M, GOAL_Y_M = Interval(0.0, 2.0), Interval(-1.0, 1.0)
-GOAL_YAW_RAD = Interval(-math.pi / 2, math.pi / 2)
-ANY_HEADING = Interval(-math.pi, math.pi)
-ORIGIN = Pose(0.0, 0.0, 0.0)
-# States to look at for one plan before it counts as failed, in place of a limit on the clock.
-MOST_EXPANSIONS = 300_000
-DRAW_PORTION = 25
 
 
 def run(options: DatasetOptions) -> int:
@@ -422,3 +366,55 @@ def folder_to_fill(out: Path) -> Iterator[Path]:
         if not was_there:
             with contextlib.suppress(OSError):
                 out.rmdir()
+
+
+def run_check(options: DatasetCheckOptions) -> int:
+    """Carries the command out; returns the exit code."""
+    from planner.corpus.check import rules_of
+
+    with as_bad_input(CorpusError, MapError):
+        corpus = Corpus.load(options.folder, even_if_changed=True)
+        rules = rules_of(options.folder, corpus)
+    if options.robot is not None:
+        rules = dataclasses.replace(rules, model=find_robot(options.robot).step_model)
+    wrong = check(corpus, rules, options.workers)
+    digest = hashlib.sha256((options.folder / PLANS).read_bytes()).hexdigest()
+    changed = digest != corpus.manifest.get("sha256")
+    document = {
+        "format": CHECK_FORMAT,
+        "folder": str(options.folder),
+        "robot": options.robot or corpus.robot,
+        "plans": len(corpus),
+        "steps": len(corpus.side),
+        "changed": changed,
+        "wrong": {str(number): lines for number, lines in wrong.items()},
+    }
+    if options.json:
+        print(to_json(document), end="")
+    else:
+        counts = f"{len(corpus)} plans with {len(corpus.side)} steps"
+        print(f"{counts}: " + (f"{len(wrong)} plans are wrong" if wrong else "all are right"))
+    lines = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
+    for line in lines[:_SHOWN]:
+        say(line)
+    if len(lines) > _SHOWN:
+        say(f"... and {len(lines) - _SHOWN} more; --json shows all")
+    if changed:
+        say(f"{PLANS} is not the file that {MANIFEST} was written for")
+    return ExitCode.BAD_INPUT if wrong or changed else ExitCode.DONE
+
+
+def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
+    """What is wrong, by the number of the plan; plans that are right are left out."""
+    from planner.corpus.check import check_plans, plan_of
+
+    portion_of = portions(len(corpus), workers, CHECK_PORTION)
+    width_m = rules.model.stance_width_m
+    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
+    wrong: dict[int, list[str]] = {}
+    with ProgressBar("plans", len(corpus)) as bar:
+        found = in_order(functools.partial(check_plans, rules), jobs, workers)
+        for numbers, lines in zip(portion_of, found, strict=True):
+            wrong.update({n: those for n, those in zip(numbers, lines, strict=True) if those})
+            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
+    return wrong

@@ -33,7 +33,12 @@ from controller.tracking_limits import TrackingLimits, tracking_limits_path, tra
 if TYPE_CHECKING:
     from app.evaluation.parts import EvaluationSetup, Part, ResultCache, Results
 
+FORMAT = "policy-evaluation/2"
 SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
+# Sections whose parts are rows of one table; the others have one document for each part.
+TABLES = ("modes", "stairs", "push", "energy")
+# With fewer walks 99 % and 97 % are told apart by chance only.
+ENOUGH_EPISODES = 100
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,18 +81,12 @@ class EvaluateOptions:
     """Print evaluation.json on standard output, and nothing else there."""
 
 
-FORMAT = "policy-evaluation/2"
-# Sections whose parts are rows of one table; the others have one document for each part.
-TABLES = ("modes", "stairs", "push", "energy")
-# With fewer walks 99 % and 97 % are told apart by chance only.
-ENOUGH_EPISODES = 100
-
-
 def run(options: EvaluateOptions) -> int:
     """Carries the command out; returns the exit code."""
+    from app.evaluation.comparison import read_beside
     from app.evaluation.limits import measured_of
     from app.evaluation.parts import EvaluationSetup, ResultCache
-    from app.evaluation.report_text import read_beside, report
+    from app.evaluation.report_text import report
     from app.evaluation.sections import SECTIONS
 
     robot = find_robot(options.robot)

@@ -12,14 +12,29 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from app.evaluation.parts import JOINT_NOISE_WITHSTOOD_DEG, TITLE, TREAD_NOISE_WITHSTOOD_M
-from app.evaluation.report_text import both_rows, plain_joint
+from app.evaluation.comparison import both_rows
+from app.evaluation.parts import (
+    JOINT_NOISE_WITHSTOOD_DEG,
+    TITLE,
+    TREAD_NOISE_WITHSTOOD_M,
+    Document,
+)
+from app.evaluation.report_text import plain_joint
 from app.output import replacing
 
-# The figure of all kinds of steps: how well each is walked, and which limits follow from it.
+LEFT, RIGHT, GREY = "#1f77b4", "#d62728", "#8a8f98"
+UP, DOWN = THIS, OTHER = "#0b7a75", "#c8553d"
 
 
-def draw_limits(document: Mapping[str, Any]) -> Figure:
+def write_figures(document: Document, folder: Path) -> None:
+    """Draw every figure whose section was measured."""
+    for name, (section, draw) in FIGURES.items():
+        if document.get(section):
+            with replacing(folder / name) as temporary:
+                draw(document).savefig(temporary, dpi=120)
+
+
+def draw_limits(document: Document) -> Figure:
     """A column for each turn per step: success above, foot error below, over forward and sideways.
 
     The frame is the cut through the limits in force, where that turn lies within them.
@@ -90,7 +105,7 @@ def _squares(
     return image
 
 
-def _frame(axes: Axes, limits: Mapping[str, Any] | None, turn: float) -> None:
+def _frame(axes: Axes, limits: Document | None, turn: float) -> None:
     """The limits' cut at a turn."""
     if limits is None or not limits["yaw_rad"][0] - 1e-9 <= turn <= limits["yaw_rad"][1] + 1e-9:
         return
@@ -98,12 +113,7 @@ def _frame(axes: Axes, limits: Mapping[str, Any] | None, turn: float) -> None:
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, linewidth=1.5))
 
 
-# The figure of two policies of the same robot, one beside the other.
-
-THIS, OTHER = "#0b7a75", "#c8553d"
-
-
-def draw_beside(document: Mapping[str, Any]) -> Figure:
+def draw_beside(document: Document) -> Figure:
     """95th percentiles of both policies' errors in place and heading, for all modes with steps."""
     both = [pair for pair in both_rows(document) if all(row["landings"] for row in pair)]
     places = np.arange(len(both))
@@ -124,19 +134,6 @@ def draw_beside(document: Mapping[str, Any]) -> Figure:
     panels[0].invert_yaxis()
     panels[1].legend(frameon=False)
     return figure
-
-
-LEFT, RIGHT, GREY = "#1f77b4", "#d62728", "#8a8f98"
-UP, DOWN = "#0b7a75", "#c8553d"
-Document = Mapping[str, Any]
-
-
-def write_figures(document: Document, folder: Path) -> None:
-    """Draw every figure whose section was measured."""
-    for name, (section, draw) in FIGURES.items():
-        if document.get(section):
-            with replacing(folder / name) as temporary:
-                draw(document).savefig(temporary, dpi=120)
 
 
 def _plain(axes: Axes, **settings: Any) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from sim.robot import Robot
 
 FORMAT = "evaluation-part/2"
 Results = dict[str, dict[str, Any]]
+Document = Mapping[str, Any]  # evaluation.json, or a part of it
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +103,26 @@ def finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """A Markdown table."""
+    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
+    return lines + ["| " + " | ".join(row) + " |" for row in rows]
+
+
+def cell(value: float | None, form: str = "{:.1f}", scale: float = 1.0) -> str:
+    """A number as it stands in a table."""
+    return "-" if value is None else form.format(scale * value)
+
+
+def pair(
+    row: Mapping[str, Any], first: str, second: str, scale: float = 100.0, unit: str = " cm"
+) -> str:
+    """Two numbers of a row in one cell, by default lengths in metres."""
+    if row[first] is None:
+        return "-"
+    return f"{scale * row[first]:.1f} / {scale * row[second]:.1f}{unit}"
 
 
 # Numbers of the paper that reports set beside ours, each with where it stands in it.
