@@ -1,21 +1,30 @@
-"""The loop of planning and walking, with the shipped policy, on small maps made here."""
+"""Planning and walking with the shipped policy, on flat maps, on stairs, and many at a time."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from app.commands.trials import TrialSettings, draw_trials, summarise, table, walk_one
-from app.navigation.navigator import Navigator, NavigatorConfig
+from app.navigation.navigator import Navigator, NavigatorConfig, Placed
 from app.navigation.report import Outcome
+from app.pictures.rendering import fixed_boxes
+from app.viewer.live_navigator import LiveNavigator
 from controller.policy import Policy, load_policy
 from maps.grid import Cell, OccupancyGrid
+from maps.map_files import load_map
+from planner.endpoints import Footing
+from planner.plan import FootstepPlan
 from planner.planner import Planner
+from planner.robot_model import Side
 from sim.clearance import min_clearance_m
+from sim.robot import GROUND_PREFIX
 from sim.robots import get_robot
+from sim.scene import scene_of
 
 ROBOT = get_robot("jvrc1")
 
@@ -176,3 +185,160 @@ def test_trials_walk_and_are_summed_up_by_outcome(settings):
     assert summary["steps_taken"] == sum(len(r["foot_errors_m"]) for r in results) > 0
     assert "reached" in table(summary)
     json.dumps(summary)
+
+
+STAIRS = load_map("maps/stairs.yaml")
+
+
+LANDING = (3.95, 0.0, 0.0)
+
+
+def on_stairs(start, goal, grid=STAIRS, kind=Navigator) -> Navigator:
+    return kind(grid, ROBOT, load_policy(ROBOT), start=start, goal=goal)
+
+
+@pytest.fixture(scope="module")
+def on_landing() -> Navigator:
+    return walk(on_stairs(LANDING, (4.3, 0.05, 0.1)))
+
+
+def test_a_walk_up_on_the_landing_is_a_walk(on_landing):
+    assert on_landing.outcome is Outcome.REACHED, on_landing.reason
+    assert len(on_landing.placed) == len(on_landing.plans[0]) >= 3
+    heights = np.array(on_landing.qpos)[:, 2]
+    assert heights.min() > 0.6 + ROBOT.fallen_height_m
+    assert heights[0] == pytest.approx(0.6 + ROBOT.pelvis_height_m, abs=0.01)
+
+
+def test_feet_are_told_by_the_height_of_the_ground(on_landing):
+    for placed in on_landing.placed:
+        assert placed.asked_world[2] == placed.placed_world[2] == 0.6
+        assert placed.error_m < 0.05
+    assert (on_landing.plans[0].start_feet_world[:, 2] == 0.6).all()
+
+
+def test_the_shipped_policy_walks_over_the_stairs():
+    over = walk(on_stairs((1.4, 0.1, 0.0), (6.8, 0.0, 0.2)))
+    assert over.outcome is Outcome.REACHED, over.reason
+    heights = np.array([placed.placed_world[2] for placed in over.placed])
+    assert heights.max() == 0.6
+    assert heights[-1] == 0.0
+    # The whole robot is up there, not only its feet.
+    pelvis_m = np.array(over.qpos)[:, 2]
+    assert pelvis_m.max() > 0.6 + ROBOT.fallen_height_m
+    assert pelvis_m[-1] < pelvis_m.max() - 0.4
+
+
+def test_treads_are_no_walls():
+    scene = scene_of(STAIRS, ROBOT, False)
+    data = mujoco.MjData(scene.model)
+    # Shins in the first risers, so that treads are touched; the walls are 1.2 m to either side.
+    data.qpos[:] = scene.qpos_at(np.array([2.0, 0.0, 0.0]))
+    mujoco.mj_forward(scene.model, data)
+    assert data.ncon > 4
+    assert data.sensordata[scene.sensors.wall_contacts[0]] == 0
+    clearance = min_clearance_m(scene, data.qpos[None])
+    assert clearance == pytest.approx(1.2 - 0.3, abs=0.1)
+
+
+@pytest.mark.parametrize(("x_m", "ground_m"), [(1.0, 0.0), (2.15, 0.1), (4.1, 0.6), (5.75, 0.2)])
+def test_walls_stand_beside_the_robot_wherever_it_is(x_m, ground_m):
+    scene = scene_of(STAIRS, ROBOT, False)
+    pose = np.array([x_m, 1.2, 0.0]) if x_m > 2 else np.array([-2.0, 0.0, 0.0])
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.qpos_at(pose, ground_m)
+    mujoco.mj_forward(scene.model, data)
+    assert data.sensordata[scene.sensors.wall_contacts[0]] > 0
+    # Walls reach up to 1 m above the floor beside them, all the way.
+    walls = scene.model.geom_bodyid == scene.model.body("walls").id
+    tops = (scene.model.geom_pos + scene.model.geom_size)[walls, 2]
+    near = np.linalg.norm(
+        np.maximum(
+            np.abs(scene.model.geom_pos[walls, :2] + (-2.0, -2.5) - pose[:2])
+            - scene.model.geom_size[walls, :2],
+            0,
+        ),
+        axis=1,
+    )
+    assert tops[near < 0.05].min() >= ground_m + 1.0 - 1e-9
+
+
+@pytest.mark.parametrize("height_m", [0.0, 0.25, -1.5])
+def test_a_level_floor_is_where_its_height_says(height_m):
+    grid = OccupancyGrid(
+        cells=np.zeros((40, 40), np.uint8),
+        resolution_m=0.1,
+        origin=(-2.0, -2.0, 0.0),
+        elevation_m=np.full((40, 40), height_m),
+    )
+    scene = scene_of(grid, ROBOT, False)
+    footing = Footing(grid, ROBOT.step_model, False)
+    assert footing.stand_m((0.3, 0.2, 0.5)) == height_m
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.qpos_at(np.array([0.3, 0.2, 0.5]), height_m)
+    data.ctrl[:] = ROBOT.half_sitting_rad
+    mujoco.mj_step(scene.model, data, 100)
+    force = data.sensordata[scene.sensors.ground_force_world[:, 2]]
+    assert abs(force).sum() == pytest.approx(9.81 * ROBOT.mass_kg, rel=0.5)
+    soles = scene.soles_at(data.qpos)
+    assert soles[:, 2] == pytest.approx(height_m, abs=0.01)
+
+
+def test_a_foot_on_the_wrong_tread_calls_for_another_plan(on_landing):
+    plan = on_landing.plans[0]
+    walker = on_stairs(LANDING, (4.3, 0.05, 0.1))
+    walker.plan()
+    asked = plan.pose_world[0]
+    for off_m, plans in ((0.0, 1), (0.1, 2)):
+        placed = Placed(
+            side=Side(int(plan.side[0])),
+            asked_world=asked,
+            placed_world=asked - (0.0, 0.0, off_m, 0.0),
+            time_s=0.0,
+        )
+        walker._landed(placed)
+        assert len(walker.plans) == plans
+
+
+def test_a_robot_that_stops_keeps_to_the_height_of_its_tread():
+    live = on_stairs(LANDING, (4.3, 0.05, 0.1), kind=LiveNavigator)
+    assert isinstance(live, LiveNavigator)
+    plan = live.plan()
+    live.going = True
+    # In the swing of the first step.
+    while not live.walker.cursor.swinging[0]:
+        live.tick()
+    live.halt()
+    stop = live.waiting
+    assert isinstance(stop, FootstepPlan)
+    assert len(stop) == 1 < len(plan)
+    assert stop.pose_world[0, 2] == 0.6
+
+
+def test_trials_are_drawn_on_level_ground_only():
+    settings = TrialSettings(grid=STAIRS, robot="jvrc1")
+    trials = draw_trials(settings, 30, 5.0, 0)
+    poses = [pose for trial in trials for pose in (trial.start, trial.goal)]
+    footing = Footing(STAIRS, ROBOT.step_model, False)
+    assert len(poses) == 60
+    # Treads are too narrow for both feet in most headings; where they do fit, they fit level.
+    assert {footing.stand_m(pose) for pose in poses} >= {0.0}
+    edges_m = np.concatenate([2.0 + 0.3 * np.arange(6), 4.7 + 0.3 * np.arange(6)])
+    assert min(np.abs(edges_m - pose[0]).min() for pose in poses) > 0.05
+
+
+def test_ground_is_drawn_solid_and_a_flat_map_has_none_but_the_floor():
+    flat, uneven = (
+        scene_of(grid, ROBOT, False).model for grid in (replace(STAIRS, elevation_m=None), STAIRS)
+    )
+    assert [geoms_of_ground(model) for model in (flat, uneven)] == [0, 11]
+    data = mujoco.MjData(uneven)
+    mujoco.mj_kinematics(uneven, data)
+    # Boxes that may turn to glass: the walls alone.
+    walls = np.flatnonzero(uneven.geom_bodyid == uneven.body("walls").id)
+    assert fixed_boxes(uneven, data).geom.tolist() == walls.tolist()
+
+
+def geoms_of_ground(model: mujoco.MjModel) -> int:
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    return sum(name.startswith(GROUND_PREFIX) for name in names)
