@@ -14,7 +14,8 @@ from maps.grid import OccupancyGrid
 from planner.collision import heights_below, resting_heights, terrain_of
 from planner.endpoints import suggestion, what_blocks, what_obstructs
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.lattice import Region, build_lattice
+from planner.lattice.goal_region import GoalRegion
+from planner.lattice.lattice import build_lattice
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import (
     FootstepPlan,
@@ -87,7 +88,9 @@ class Planner:
         self._coarse = coarse_model(model)
         reach = self.options.goal_reach_m, self.options.goal_reach_rad
         # Sampling planners end at the goal itself.
-        self._region = Region() if self.options.name in SAMPLING_PLANNERS else Region(*reach)
+        self._region = (
+            GoalRegion() if self.options.name in SAMPLING_PLANNERS else GoalRegion(*reach)
+        )
         self._context: tuple[Pose, GoalContext] | None = None
         self.record: SearchRecord | None = None
 

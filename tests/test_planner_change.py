@@ -8,7 +8,8 @@ import pytest
 from maps.grid import Cell
 from planner.collision import terrain_of
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.lattice import COST_UM, D_NODE, build_lattice, may_end_at, node_free
+from planner.lattice.goal_region import may_end_at
+from planner.lattice.lattice import COST_UM, D_NODE, build_lattice, node_free
 from planner.lattice.map_change import change_between
 from planner.search.ad_star_tree import edge_cost_um
 from planner.search.problem import new_tree

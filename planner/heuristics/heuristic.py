@@ -23,7 +23,8 @@ from planner.heuristics.turning import (
     no_detours,
 )
 from planner.heuristics.wavefront import NOWHERE_UM
-from planner.lattice.lattice import Int64s, Lattice, Region
+from planner.lattice.goal_region import GoalRegion
+from planner.lattice.lattice import Int64s, Lattice
 from planner.lattice.steps import MICRO, StepTable, build_step_table, final_cost_um, moved_cells
 from planner.robot_model import StepModel
 
@@ -142,7 +143,7 @@ def heuristic_toward_region(
     tables: Tables,
     body_cell: Int64s,
     ends: Int64s,
-    region: Region,
+    region: GoalRegion,
 ) -> Heuristic:
     """Least cost to the end of a plan at any of the nodes (n,), of which there must be one.
 

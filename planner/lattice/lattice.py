@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from maps.grid import OccupancyGrid
 from planner.collision import (
     NEAR_M,
-    NO_GROUND_UM,
     Terrain,
     box_free,
     box_heights,
@@ -24,15 +23,7 @@ from planner.collision import (
     highest_between,
     point_clearance,
 )
-from planner.compiled import (
-    Slots,
-    njit_arrays,
-    njit_no_refcount,
-    slot_of,
-    slots_for,
-    take_slot,
-    zeros,
-)
+from planner.compiled import Slots, njit_no_refcount, slot_of, slots_for, take_slot, zeros
 from planner.lattice.steps import MICRO, StepTable
 from planner.robot_model import StepModel
 
@@ -333,112 +324,6 @@ def clearance_cost(lattice: Lattice, clearance_m: float) -> int:
     if clearance_m >= wanted_m:
         return 0
     return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))
-
-
-# Goals that are regions: any pose near the one asked for may be the end of a plan.
-#
-# A plan ends with a foot at a node and the other one put down beside it, a stance width away. Every
-# node thus stands for one final pose of both feet, and a region of poses for many nodes.
-
-_ROUNDING = 1e-9
-
-
-class Region(NamedTuple):
-    """How far from the goal, and how far turned, the pair pose of both feet may be in the end."""
-
-    reach_m: float = 0.0
-    reach_rad: float = 0.0
-
-    @property
-    def is_point(self) -> bool:
-        """Whether the goal itself is the only end."""
-        return self.reach_m == 0.0 and self.reach_rad == 0.0
-
-
-def ends_in(lattice: Lattice, region: Region) -> Int64s:
-    """Nodes (n,), in rising order, beside which the other foot may be put down as the last."""
-    reach = math.ceil((region.reach_m + 2 * lattice.half_stance_m) / lattice.cell_m) + 1
-    bins = min(math.ceil(region.reach_rad * lattice.headings / (2 * np.pi)), lattice.headings // 2)
-    col, row, heading, side = (
-        v.reshape(-1)
-        for v in np.meshgrid(
-            np.arange(-reach, reach + 1),
-            np.arange(-reach, reach + 1),
-            np.unique(np.arange(-bins, bins + 1) % lattice.headings),
-            np.arange(2),
-            indexing="ij",
-        )
-    )
-    across, up = col + lattice.origin_col, row + lattice.origin_row
-    nodes = ((up * lattice.cols + across) * lattice.headings + heading) * 2 + side
-    on_map = (across >= 0) & (up >= 0) & (across < lattice.cols) & (up < lattice.rows)
-    nodes = np.sort(nodes[on_map])
-    return nodes[_may_end(lattice, nodes, region.reach_m, region.reach_rad)]
-
-
-POINT = Region()
-
-
-@njit_no_refcount
-def beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
-    """Where the other foot stands beside that of a node, and where the body is: x, y, x, y.
-
-    In the frame of the lattice.
-    """
-    heading = (node >> 1) % lattice.headings
-    cell = (node >> 1) // lattice.headings
-    out = (1 - 2 * (node & 1)) * lattice.half_stance_m
-    yaw = heading * (2.0 * math.pi / lattice.headings)
-    x = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
-    y = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m + out
-    over_x, over_y = out * math.sin(yaw), -out * math.cos(yaw)
-    return x + 2.0 * over_x, y + 2.0 * over_y, x + over_x, y + over_y
-
-
-@njit_no_refcount
-def may_end_at(lattice: Lattice, node: int) -> bool:
-    """Whether both feet may stand side by side, one of them at a node."""
-    if not node_free(lattice, node):
-        return False
-    foot_x, foot_y, _, _ = beside(lattice, node)
-    x, y = to_grid(lattice, foot_x, foot_y)
-    heading = (node >> 1) % lattice.headings
-    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
-    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
-        return False
-    if len(lattice.node_um) == 0:
-        return True
-    low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
-    rise = abs(high - lattice.node_um[slot_of(lattice.slots, node)])
-    lowest, highest, level, _ = lattice.climb_um
-    return low != NO_GROUND_UM and high - low <= level and rise <= min(-lowest, highest, level)
-
-
-@njit_no_refcount
-def height_beside(lattice: Lattice, node: int) -> int:
-    """Height in micrometres of the ground under the other foot beside that of a node."""
-    if len(lattice.node_um) == 0:
-        return 0
-    foot_x, foot_y, _, _ = beside(lattice, node)
-    x, y = to_grid(lattice, foot_x, foot_y)
-    heading = (node >> 1) % lattice.headings
-    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
-    return box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])[1]
-
-
-@njit_arrays
-def _may_end(
-    lattice: Lattice, nodes: Int64s, reach_m: float, reach_rad: float
-) -> NDArray[np.bool_]:
-    """Which of the nodes (n,) stand for free poses of the region."""
-    free = np.zeros(len(nodes), np.bool_)
-    for i in range(len(nodes)):
-        heading = (nodes[i] >> 1) % lattice.headings
-        turn = min(heading, lattice.headings - heading) * (2.0 * math.pi / lattice.headings)
-        _, _, x, y = beside(lattice, nodes[i])
-        near = turn <= reach_rad + _ROUNDING and math.hypot(x, y) <= reach_m + _ROUNDING
-        free[i] = near and may_end_at(lattice, nodes[i])
-    return free
 
 
 # Whether a step between two places on uneven ground can be made: its rise and what it swings over.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.compiled import BITS, njit_arrays, njit_no_refcount, slot_of, take_slot
 from planner.heuristics.heuristic import Heuristic, estimate
+from planner.lattice.goal_region import may_end_at
 from planner.lattice.lattice import (
     COST_UM,
     D_HALF,
@@ -21,7 +22,6 @@ from planner.lattice.lattice import (
     Lattice,
     clearance_cost,
     half_clearance,
-    may_end_at,
     node_free,
     pair_known_free,
     step_climbs,

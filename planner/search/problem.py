@@ -29,16 +29,8 @@ from planner.heuristics.heuristic import (
 )
 from planner.heuristics.turning import no_detours, straight_cost
 from planner.lattice.first_steps import first_steps
-from planner.lattice.lattice import (
-    POINT,
-    Int64s,
-    Lattice,
-    Region,
-    beside,
-    ends_in,
-    height_beside,
-    turned_round,
-)
+from planner.lattice.goal_region import POINT, GoalRegion, beside, ends_in, height_beside
+from planner.lattice.lattice import Int64s, Lattice, turned_round
 from planner.lattice.map_change import change_between, over
 from planner.lattice.steps import MICRO, final_cost_um
 from planner.options import FULL
@@ -73,7 +65,7 @@ class GoalContext:
     model: StepModel
     tables: Tables
     memory: dict[str, Any] = field(default_factory=dict)
-    region: Region = POINT
+    region: GoalRegion = POINT
     coarse: GoalContext | None = None
     heuristic_name: str = FULL
 
