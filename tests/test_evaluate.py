@@ -92,9 +92,12 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     assert set(SECTION_NAMES) < set(document)
     assert [row["way"] for row in document["stairs"][:2]] == ["up", "down"]
     assert len(document["gait"]["joints"]) == 12
-    posture = document["gait"]["posture"]
-    assert 0.5 < posture["pelvis_m_lowest"] < posture["pelvis_m_standing"] < 1.0
-    assert 0.03 < posture["foot_lift_m_median"] <= posture["foot_lift_m_highest"] < 0.4
+    walked = document["gait"]["walk"]
+    height = walked["pelvis_height_m"]
+    assert 0.5 < height["least"] < document["gait"]["pelvis_standing_m"] < 1.0
+    assert height["least"] <= height["median"]
+    assert 0.03 < walked["swing_apex_m"]["median"] <= walked["swing_apex_m"]["p95"] < 0.4
+    assert document["gait"]["joint_jerk_rad_s3"] > 0
     assert max(document["gait"]["force_peak"]) > 0.9
     assert document["gait"]["contact_agreement"] > 0.9
     assert len(document["push"]) == 4
@@ -255,6 +258,51 @@ def test_another_policy_beside(tmp_path, capsys):
     (folder / "evaluation.json").write_text("{}")
     assert main([*words, str(folder)]) == 2
     assert f"is not an evaluation of format {evaluate.FORMAT}" in capsys.readouterr().err
+
+
+def test_the_gait_stands_beside_the_papers_peaks_of_the_same_robot():
+    parts = [part for section in SECTIONS.values() for part in section(evaluation_setup())]
+    document = evaluate.document_of(evaluation_setup(), parts, {}, None)
+    loads = {
+        "peak_torque_nm": 90.0,
+        "rms_torque_nm": 30.0,
+        "torque_limit_nm": 600.0,
+        "peak_speed_rad_s": 1.5,
+        "speed_limit_rad_s": 8.0,
+    }
+    walk = {
+        "pelvis_height_m": {"median": 0.79, "least": 0.75, "at_rest": None},
+        "pelvis_bob_m": 0.03,
+        "swing_apex_m": {"median": 0.07, "p95": 0.12},
+        "touchdown_speed_m_s": {"median": 0.15, "p95": 0.3},
+        "peak_force_weights": 1.15,
+        "cost_of_transport": 0.4,
+        "speed_m_s": 0.28,
+    }
+    document["gait"] = {
+        "walks": 16,
+        "falls": 0,
+        "step_m": 0.3,
+        "joints": [{"joint": joint.name, **loads} for joint in get_robot("hrp5p").joints],
+        "joint_jerk_rad_s3": 150.0,
+        "pelvis_standing_m": 0.8,
+        "walk": walk,
+        "force_peak": [1.1, 1.15],
+        "contact_agreement": 1.0,
+        "lift_off_lag_s": 0.0,
+        "touch_down_lag_s": None,
+    }
+    ours = report(document)
+    assert "| swing apex, median / 95th percentile | 7.0 / 12.0 cm |" in ours
+    assert "| the same at rest (half-sitting: 0.800 m) | - |" in ours
+    assert "contact, median / 95th percentile | 0.15 / 0.30 m/s |" in ours
+    assert "84.4" not in ours
+    theirs = report({**document, "robot": "hrp5p"})
+    assert "| hip pitch | 84.4 / 97.9 | 0.9 | 1.57 / 1.5 | 1.0 |" in theirs
+    document["gait"]["walk"] = {**walk, "touchdown_speed_m_s": None, "cost_of_transport": None}
+    assert "contact, median / 95th percentile | - / - m/s |" in report(document)
+    document["gait"]["walk"] = None
+    assert "swing apex" not in report(document)
 
 
 def test_sections_are_chosen_by_name(capsys, tmp_path):

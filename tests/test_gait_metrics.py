@@ -17,16 +17,23 @@ from controller.evaluation.gait_metrics import (
     distance_m,
     duration_s,
     gait_cycle_curves,
+    joint_jerk_rad_s3,
     joint_loads,
     mechanical_work_j,
     peak_weights,
-    posture,
     repeat_step,
     swing_lags,
+    walk_and_stand,
 )
-from controller.evaluation.gait_summary import GaitRecorder, swing_apex_m, touchdown_speed_m_s
+from controller.evaluation.gait_summary import (
+    GaitRecorder,
+    summary_of,
+    swing_apex_m,
+    touchdown_speed_m_s,
+)
 from controller.evaluation.push_recovery import DIRECTIONS, Push
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.policy import load_policy
 from controller.step_cursor import StepCursor, StepSequence
 from planner.robot_model import Side
 from sim.batch import SimBatch
@@ -47,8 +54,6 @@ def record(ticks: int, substeps: int = 5, robots: int = 1, **arrays: np.ndarray)
         "indicator": np.zeros((robots, ticks, 2)),
         "cycle_tick": np.full((robots, ticks), -1),
         "pelvis_xy_world": np.zeros((robots, ticks, 2)),
-        "pelvis_height_m": np.zeros((robots, ticks)),
-        "sole_height_m": np.zeros((robots, ticks, 2)),
         "upright": np.ones(robots, dtype=bool),
     }
     return WalkRecord(timestep_s=0.001, **(values | arrays))
@@ -69,17 +74,25 @@ def test_peaks_are_of_either_sign_and_over_all_robots():
     assert second["peak_torque_nm"] == second["rms_speed_rad_s"] == 0.0
 
 
-def test_posture_by_hand():
-    pelvis, soles = np.full((2, 4), 0.8), np.zeros((2, 4, 2))
-    pelvis[1, 2] = 0.6
-    soles[0, 1, 0], soles[0, 2, 0], soles[1, 3, 1] = 0.05, 0.09, 0.2
-    # The highest of each foot in each walk: 9 and 0 cm, 0 and 20 cm.
-    assert posture(record(4, 1, 2, pelvis_height_m=pelvis, sole_height_m=soles)) == {
-        "pelvis_m_median": 0.8,
-        "pelvis_m_lowest": 0.6,
-        "foot_lift_m_median": pytest.approx(0.045),
-        "foot_lift_m_highest": 0.2,
-    }
+def test_jerk_is_of_the_mean_speeds_over_control_steps():
+    speed = np.zeros((1, 6, 12))
+    # One joint of twelve, two physics steps a control step: its mean speeds are 0, 1, 0 rad/s.
+    speed[0, :, 4] = 3.0, -3.0, 0.0, 2.0, 1.0, -1.0
+    assert joint_jerk_rad_s3(record(3, 2)) == 0.0
+    moved = record(3, 2, joint_speed_rad_s=speed)
+    assert joint_jerk_rad_s3(moved) == pytest.approx(2 / 0.025**2 / np.sqrt(12))
+
+
+def test_robots_that_walk_and_stand_come_to_rest():
+    summary = walk_and_stand(
+        ROBOT, load_policy(ROBOT), (0.2, 0.2, 0.0), count=2, seconds=5.0, rest_s=1.0, seed=3
+    )
+    assert summary is not None
+    # Two feet of 20 cm steps, the first and the last of half the way.
+    assert summary.speed_m_s == pytest.approx(0.2 / ROBOT.gait.step_s, rel=0.3)
+    for height_m in summary.pelvis_height_m.values():
+        assert height_m is not None
+        assert ROBOT.fallen_height_m < height_m < ROBOT.pelvis_height_m + 0.05
 
 
 def test_asymmetry_by_hand():
@@ -236,7 +249,7 @@ def test_touch_down_is_the_end_of_the_longest_flight():
     assert touchdown_speed_m_s(down, np.ones(11, bool), 2) is None  # it never left
 
 
-def made_up_walker() -> Any:
+def made_up_walker(count: int = 1) -> Any:
     """Ten physics steps in a control step, one joint, a robot of 50 kg; sensors filled in later."""
     sensors = SimpleNamespace(
         pelvis_pos_world=np.arange(3),
@@ -245,11 +258,13 @@ def made_up_walker() -> Any:
         ground_force_world=np.array([[15, 16, 17], [18, 19, 20]]),
         joint_torque=np.array([21]),
     )
-    sim = SimpleNamespace(sensors=np.zeros((1, 10, 22)), recorded={"qvel": np.zeros((1, 10, 7))})
+    sim = SimpleNamespace(
+        sensors=np.zeros((count, 10, 22)), recorded={"qvel": np.zeros((count, 10, 7))}
+    )
     return SimpleNamespace(
-        robot=SimpleNamespace(mass_kg=50.0),
+        robot=SimpleNamespace(weight_n=50.0 * 9.81),
         scene=SimpleNamespace(sensors=sensors, joint_qvel=np.array([6])),
-        cursor=SimpleNamespace(entry=np.array([2])),
+        cursor=SimpleNamespace(entry=np.full(count, 2)),
         sim=sim,
     )
 
@@ -301,3 +316,37 @@ def test_too_few_steps_are_no_gait():
     for _ in range(3):
         recorder.ticked(walker, Side.LEFT, walking=True, landed=True)
     assert recorder.summary() is None
+
+
+def stepping(recorder: GaitRecorder, walker: Any, row: int, *, lift_m: float, steps: int) -> None:
+    """Each foot goes 0.4 m a step, of 0.125 s; the pelvis at 0.8 m sways by as much sideways."""
+    read = walker.sim.sensors[row]
+    read[:, 2] = 0.8
+    for step in range(steps):
+        side = Side(step % 2)
+        for height_m in (0.0, lift_m, lift_m, 0.0):
+            read[:, 3 + 3 * side] += 0.1
+            read[:, 1] += 0.1 * (1 - 2 * side)
+            read[:, 3 + 3 * side + 2] = height_m
+            read[:, 15 + 3 * side + 2] = 0.0 if height_m else 500.0
+            recorder.ticked(walker, side, walking=True, landed=False)
+        recorder.ticked(walker, side, walking=True, landed=True)
+    read[:, 2] = 0.8 + lift_m
+    recorder.ticked(walker, Side.LEFT, walking=False, landed=False)
+
+
+def test_several_walks_are_summed_up_as_one_each_by_its_own_robot():
+    walker = made_up_walker(3)
+    recorders = [GaitRecorder(walker, row) for row in range(3)]
+    for row, (lift_m, steps) in enumerate(((0.04, 3), (0.06, 4), (0.10, 3))):
+        stepping(recorders[row], walker, row, lift_m=lift_m, steps=steps)
+    assert recorders[0].summary() is None  # three steps alone are no gait
+    gait = summary_of(recorders)
+    assert gait is not None
+    # Ten apexes: three of 4 cm, four of 6 and three of 10.
+    assert gait.swing_apex_m == pytest.approx({"median": 0.06, "p95": 0.10})
+    assert gait.pelvis_height_m["at_rest"] == pytest.approx(0.86)
+    # Seven of the steps have one before them, and bring the feet's middle on by 0.2 m each.
+    assert gait.speed_m_s == pytest.approx(7 * 0.2 / (10 * 0.125))
+    assert summary_of([recorders[1]]) == recorders[1].summary()
+    assert summary_of([]) is None

@@ -133,6 +133,19 @@ def test_simulation_that_leaves_the_finite_numbers_is_a_fall_with_a_reason():
     assert "finite" in walker.reason
 
 
+def test_a_walk_that_ends_in_no_numbers_still_has_a_report():
+    walker = navigator(empty_map(), (1.5, 0.0, 0.0))
+    walker.plan()
+    while len(walker.placed) < 5:
+        walker.tick()
+    walker.walker.sim.qvel[:] = np.nan
+    walker.tick()
+    assert walker.outcome is Outcome.FELL
+    gait = json.loads(walker.report().to_json())["gait"]
+    assert gait["pelvis_height_m"]["at_rest"] is None
+    assert gait["speed_m_s"] > 0.1
+
+
 def test_wall_that_the_planner_does_not_know_of_is_a_collision():
     blind = Planner(empty_map(), ROBOT.step_model)
     wall = with_wall(empty_map(), 0.5, -1.0, 0.6, 1.0)

@@ -285,3 +285,16 @@ def test_a_changed_map_leaves_the_robot_as_it_is():
         ends.append(navigator.qpos[-1])
     # Not to the bit: the contact solver starts anew.
     np.testing.assert_allclose(ends[1], ends[0], atol=2e-3)
+
+
+def test_a_fresh_walk_forgets_how_the_one_before_was_walked():
+    planner = Planner(HALL, ROBOT.step_model)
+    navigator = LiveNavigator(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=(0, 0, 0), planner=planner)
+    for goal in (AHEAD, navigator.start):
+        replan_point = navigator.replan_point()
+        plan = planner.plan(goal=goal, start_feet_world=replan_point.feet_world)
+        assert navigator.go(goal, plan, replan_point, fresh=True)
+        assert navigator._gait.summary() is None
+        while navigator.outcome is None:
+            navigator.tick()
+        assert navigator.report().gait is not None

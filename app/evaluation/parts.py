@@ -20,7 +20,7 @@ from app.output import make_folder, to_json, write_text
 from controller.policy import Policy
 from sim.robot import Robot
 
-FORMAT = "evaluation-part/2"
+FORMAT = "evaluation-part/3"
 Results = dict[str, dict[str, Any]]
 Document = Mapping[str, Any]  # evaluation.json, or a part of it
 

@@ -133,7 +133,7 @@ def _stairs(document: Document) -> list[str]:
 def _gait(document: Document) -> list[str]:
     gait = document["gait"]
     lines = [
-        "## Loads, ground force and contact",
+        "## Gait, loads, ground force and contact",
         "",
         f"{gait['walks']} walks of 10 s straight forward with steps of {100 * gait['step_m']:.0f} "
         f"cm, recorded at 1 kHz; {gait['falls']} fell and are left out.",
@@ -141,6 +141,7 @@ def _gait(document: Document) -> list[str]:
     joints = gait.get("joints")
     if not joints:
         return lines
+    lines += ["", *_walk_figures(gait)]
     half = len(joints) // 2
     rows = []
     for left, right in zip(joints[:half], joints[half:], strict=True):
@@ -159,17 +160,12 @@ def _gait(document: Document) -> list[str]:
         *("joint", "peak torque left / right, N m", "limit"),
         *("peak speed left / right, rad/s", "limit", "left and right differ by"),
     )
-    lines += ["", *table(titles, rows), ""]
+    lines += [*table(titles, rows), ""]
     lines += _paper_peaks(document["robot"], joints)
     lines += [
         "The last column compares the root mean square torques.",
         "",
         "![Peak loads as shares of their limits](loads.png)",
-        "",
-        "The pelvis is {pelvis_m_median:.2f} m above the lower sole (median; at least "
-        "{pelvis_m_lowest:.2f} m; standing {pelvis_m_standing:.2f} m). Feet are lifted by "
-        "{foot_lift_m_median:.2f} m (the highest of each foot in each walk: median; at most "
-        "{foot_lift_m_highest:.2f} m).".format(**gait["posture"]),
         "",
         f"The vertical force under a foot peaks at {max(gait['force_peak']):.2f} times the weight "
         "(left {:.2f}, right {:.2f}).".format(*gait["force_peak"]),
@@ -185,6 +181,44 @@ def _gait(document: Document) -> list[str]:
         "![Phase indicator and contact](contact.png)",
     ]
     return lines
+
+
+def _walk_figures(gait: Mapping[str, Any]) -> list[str]:
+    """How as many walks looked that also came to a stand; the names are those of report.json."""
+    jerk = f"Joint jerk: {cell(gait['joint_jerk_rad_s3'], '{:.0f} rad/s³')} (root mean square)."
+    walk = gait["walk"]
+    if walk is None:
+        return [jerk, ""]
+    height, apex = walk["pelvis_height_m"], walk["swing_apex_m"]
+    touchdown = walk["touchdown_speed_m_s"] or {"median": None, "p95": None}
+    rows = [
+        (
+            "pelvis over the lower sole, median / least",
+            f"{height['median']:.3f} / {height['least']:.3f} m",
+        ),
+        (
+            f"the same at rest (half-sitting: {gait['pelvis_standing_m']:.3f} m)",
+            cell(height["at_rest"], "{:.3f} m"),
+        ),
+        ("bob of the pelvis in a step, median", f"{100 * walk['pelvis_bob_m']:.1f} cm"),
+        ("swing apex, median / 95th percentile", pair(apex, "median", "p95")),
+        (
+            "sole's speed down, last 25 ms before contact, median / 95th percentile",
+            f"{cell(touchdown['median'], '{:.2f}')} / {cell(touchdown['p95'], '{:.2f}')} m/s",
+        ),
+        ("peak force of one foot", f"{walk['peak_force_weights']:.2f} weights"),
+        ("cost of transport", cell(walk["cost_of_transport"], "{:.2f}")),
+        ("speed", f"{walk['speed_m_s']:.2f} m/s"),
+    ]
+    return [
+        "The same steps again, then a stand: every step counts, those of setting off and stopping "
+        "too.",
+        "",
+        *table(("gait", ""), rows),
+        "",
+        jerk,
+        "",
+    ]
 
 
 def _paper_peaks(robot: str, joints: Sequence[Mapping[str, Any]]) -> list[str]:

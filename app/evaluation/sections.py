@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -12,6 +13,7 @@ from app.evaluation.limits import limits_parts
 from app.evaluation.parts import EvaluationSetup, Part, Results
 from controller.assessment import ModeResult, assess_mode, at_navigation_rate
 from controller.evaluation.gait_metrics import (
+    RECORDED_S,
     Step,
     WalkRecord,
     contact_agreement,
@@ -20,12 +22,13 @@ from controller.evaluation.gait_metrics import (
     duration_s,
     gait_cycle_curves,
     in_contact,
+    joint_jerk_rad_s3,
     joint_loads,
     mechanical_work_j,
     peak_weights,
-    posture,
     record_walk,
     swing_lags,
+    walk_and_stand,
 )
 from controller.evaluation.push_recovery import DIRECTIONS, PUSH_WALK_S, push_recovery
 from controller.evaluation.rollouts import AT_ONCE, portions, start_walks, walk
@@ -37,7 +40,6 @@ LONG_WALK_S = 60.0
 STAIR_RISES_M = (0.10, 0.15)
 TREAD_NOISE_M = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 JOINT_NOISE_DEG = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-RECORDED_S = 10.0
 RECORDED = 16
 CYCLE_BINS = 110
 # Pushes by what they change of the robot's speed, so that heavy robots are pushed harder.
@@ -189,7 +191,9 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
         weights = steady.ground_force_n / robot.weight_n
         contact = in_contact(steady, robot.mass_kg).astype(float)
         asked = np.repeat(steady.indicator, steady.substeps, axis=1)
-        standing_m = robot.pelvis_height_m
+        summary = walk_and_stand(
+            robot, setup.policy, step, count=count, seed=setup.seed, threads=setup.threads
+        )
         lift_s, touch_s = swing_lags(steady, robot.mass_kg, ticks)
         curves = {"force": weights, "contact": contact, "indicator": asked}
         cycles = {
@@ -198,7 +202,9 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
         return {
             **head,
             "joints": joint_loads(whole, robot),
-            "posture": posture(steady) | {"pelvis_m_standing": standing_m},
+            "joint_jerk_rad_s3": joint_jerk_rad_s3(whole),
+            "pelvis_standing_m": robot.pelvis_height_m,
+            "walk": None if summary is None else asdict(summary),
             "cycle_time_s": cycles["force"].time_s.tolist(),
             **{f"{k}_mean": cycle.mean.T.tolist() for k, cycle in cycles.items()},
             "force_low": cycles["force"].low.T.tolist(),
@@ -209,7 +215,7 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
             "touch_down_lag_s": touch_s,
         }
 
-    seconds = count * RECORDED_S
+    seconds = 2 * count * RECORDED_S
     return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
 
 

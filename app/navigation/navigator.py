@@ -213,11 +213,11 @@ class Navigator:
         asked = cursor.foot_targets[0, side].copy()
         walking = not cursor.standing[0]
         stepped = bool(self.walker.act(self.policy.act(self.walker.observe()))[0])
-        self._gait.ticked(self.walker, side, walking=walking, landed=stepped)
         self.qpos.append(self.walker.sim.qpos[0].copy())
         self._look_for_failure()
         if self.outcome is not None:
             return
+        self._gait.ticked(self.walker, side, walking=walking, landed=stepped)
         if stepped:
             placed_world = self._feet()[side]
             self._landed(

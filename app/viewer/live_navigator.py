@@ -9,6 +9,7 @@ import numpy as np
 
 from app.navigation.navigator import FootstepPlanner, Navigator, Placed
 from app.navigation.report import Outcome
+from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
 from controller.walker import Walker
@@ -106,6 +107,7 @@ class LiveNavigator(Navigator):
         if fresh:
             self.plans, self.placed, self.followed = [], [], []
             self.qpos = [self.qpos[-1]]
+            self._gait = GaitRecorder(self.walker)
         self.goal, self.outcome, self.reason = tuple(goal), None, ""
         self.going, self.halted, self.idle_s = True, False, 0.0
         self.plans.append(plan)

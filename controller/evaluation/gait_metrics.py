@@ -1,4 +1,4 @@
-"""Gait metrics of recorded walks: joint loads, symmetry, ground forces, posture, transport cost.
+"""Gait metrics of recorded walks: joint loads, symmetry, ground forces, jerk, transport cost.
 
 Metrics are pure functions of a `WalkRecord` without the robots that fell (`of_upright`).
 """
@@ -10,8 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from controller.evaluation.gait_summary import CONTACT_WEIGHTS
-from controller.evaluation.rollouts import start_walks, walk
+from controller.evaluation.gait_summary import (
+    CONTACT_WEIGHTS,
+    GaitRecorder,
+    GaitSummary,
+    summary_of,
+)
+from controller.evaluation.rollouts import LONGEST_WAIT_TICKS, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
@@ -20,6 +25,8 @@ from planner.robot_model import Side
 from sim.robot import GRAVITY_M_S2, Robot
 
 Step = tuple[float, float, float]
+# How long a walk is recorded.
+RECORDED_S = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,8 +36,7 @@ class WalkRecord:
     torque_nm, joint_speed_rad_s (B, N, J): of the servos and of the joints they turn.
     ground_force_n (B, N, 2): vertical force on each foot, left then right.
     indicator (B, T, 2), cycle_tick (B, T): as in `controller.evaluation.rollouts.ControlStep`.
-    pelvis_xy_world (B, T, 2); pelvis_height_m (B, T): above the lower sole.
-    sole_height_m (B, T, 2): above the floor; upright (B,): did not fall.
+    pelvis_xy_world (B, T, 2); upright (B,): did not fall.
     """
 
     timestep_s: float
@@ -40,8 +46,6 @@ class WalkRecord:
     indicator: np.ndarray
     cycle_tick: np.ndarray
     pelvis_xy_world: np.ndarray
-    pelvis_height_m: np.ndarray
-    sole_height_m: np.ndarray
     upright: np.ndarray
 
     @property
@@ -65,9 +69,7 @@ class WalkRecord:
 
 
 _PER_PHYSICS_STEP = ("torque_nm", "joint_speed_rad_s", "ground_force_n")
-_PER_CONTROL_STEP = (
-    *("indicator", "cycle_tick", "pelvis_xy_world", "pelvis_height_m", "sole_height_m"),
-)
+_PER_CONTROL_STEP = ("indicator", "cycle_tick", "pelvis_xy_world")
 _PER_ROBOT = (*_PER_PHYSICS_STEP, *_PER_CONTROL_STEP, "upright")
 
 
@@ -77,8 +79,8 @@ def record_walk(
     step: Step,
     *,
     count: int,
-    seconds: float,
     seed: int,
+    seconds: float = RECORDED_S,
     threads: int = 1,
 ) -> WalkRecord:
     """`count` robots that repeat one step, half of them beginning with the left foot.
@@ -96,19 +98,17 @@ def record_walk(
 
     walker = start_walks(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
-    torque, speed, force, indicator, cycle_tick, pelvis, soles = [], [], [], [], [], [], []
+    torque, speed, force, indicator, cycle_tick, pelvis = [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
     for tick in walk(walker, policy, round(seconds / CONTROL_PERIOD_S)):
         read = walker.sim.sensors
         torque.append(read[:, :, sensors.joint_torque])
         force.append(read[:, :, sensors.ground_force_world[:, 2]])
         speed.append(walker.sim.recorded["qvel"][:, :, joints])
-        pelvis.append(read[:, -1, sensors.pelvis_pos_world])
-        soles.append(read[:, -1, sensors.sole_pos_world[:, 2]])
+        pelvis.append(read[:, -1, sensors.pelvis_pos_world[:2]])
         indicator.append(tick.indicator)
         cycle_tick.append(tick.cycle_tick)
         upright = tick.upright
-    pelvis_world, sole_height_m = np.stack(pelvis, axis=1), np.stack(soles, axis=1)
     return WalkRecord(
         timestep_s=float(walker.scene.model.opt.timestep),
         torque_nm=np.concatenate(torque, axis=1),
@@ -116,11 +116,51 @@ def record_walk(
         ground_force_n=np.concatenate(force, axis=1),
         indicator=np.stack(indicator, axis=1),
         cycle_tick=np.stack(cycle_tick, axis=1),
-        pelvis_xy_world=pelvis_world[..., :2],
-        pelvis_height_m=pelvis_world[..., 2] - sole_height_m.min(axis=2),
-        sole_height_m=sole_height_m,
+        pelvis_xy_world=np.stack(pelvis, axis=1),
         upright=upright,
     )
+
+
+def walk_and_stand(
+    robot: Robot,
+    policy: Policy,
+    step: Step,
+    *,
+    count: int,
+    seed: int,
+    seconds: float = RECORDED_S,
+    rest_s: float = 2.0,
+    threads: int = 1,
+) -> GaitSummary | None:
+    """The gait of `count` robots that repeat one step, set their feet side by side and stand.
+
+    They walk for about `seconds` and stand for at least `rest_s`; the pelvis's height at rest is
+    the median over robots at the end. Robots that fell are left out; None where too few are left.
+    """
+    width_m = robot.step_model.stance_width_m
+    steps = int(seconds / robot.gait.step_s)
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
+        relative = np.vstack([repeat_step(step, width_m, steps), (0.0, width_m, 0.0)])
+        side, poses = chain_steps(feet, Side(row % 2), relative)
+        return StepSequence.of(feet, side, poses)
+
+    walker = start_walks(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
+    longest_s = LONGEST_WAIT_TICKS * CONTROL_PERIOD_S + (steps + 2) * robot.gait.step_s + rest_s
+    recorders = [GaitRecorder(walker, row) for row in range(count)]
+    upright, cursor = np.ones(count, dtype=bool), walker.cursor
+    sides, walking = cursor.side.copy(), ~cursor.standing
+    for tick in walk(walker, policy, round(longest_s / CONTROL_PERIOD_S)):
+        upright = tick.upright
+        for row in np.flatnonzero(upright):
+            recorders[row].ticked(
+                walker,
+                Side(int(sides[row])),
+                walking=bool(walking[row]),
+                landed=bool(tick.landed[row]),
+            )
+        sides, walking = cursor.side.copy(), ~cursor.standing
+    return summary_of([recorders[row] for row in np.flatnonzero(upright)])
 
 
 def repeat_step(step: Step, stance_width_m: float, steps: int) -> np.ndarray:
@@ -250,18 +290,16 @@ def _median_s(steps: list[int], timestep_s: float) -> float:
     return float(np.median(steps)) * timestep_s if steps else np.nan
 
 
-def posture(record: WalkRecord) -> dict[str, float]:
-    """Median and lowest pelvis height above the lower sole, median and highest foot lift.
+def joint_jerk_rad_s3(record: WalkRecord) -> float:
+    """Root mean square over joints and walks of the joints' jerk, by differences at 40 Hz.
 
-    The foot lift is the greatest height of a foot above the floor in each walk.
+    The mean speed over a control step is the difference of the joint's positions.
     """
-    lift_m = record.sole_height_m.max(axis=1)
-    return {
-        "pelvis_m_median": float(np.median(record.pelvis_height_m)),
-        "pelvis_m_lowest": float(record.pelvis_height_m.min()),
-        "foot_lift_m_median": float(np.median(lift_m)),
-        "foot_lift_m_highest": float(lift_m.max()),
-    }
+    robots, steps, joints = record.joint_speed_rad_s.shape
+    split = robots, steps // record.substeps, record.substeps, joints
+    speed = record.joint_speed_rad_s.reshape(split).mean(axis=2)
+    jerk = np.diff(speed, n=2, axis=1) / CONTROL_PERIOD_S**2
+    return float(np.sqrt(np.mean(jerk**2))) if jerk.size else np.nan
 
 
 def mechanical_work_j(record: WalkRecord) -> np.ndarray:

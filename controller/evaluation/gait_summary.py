@@ -5,6 +5,7 @@ The figures of report.json's `gait`; `gait_metrics` has those of many walks of o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -34,7 +35,8 @@ class GaitSummary:
     swing_apex_m: median and 95th percentile of the greatest height of a sole above the straight
     line between the places that it left and reached. touchdown_speed_m_s: the same of its downward
     speed over the last 25 ms before contact. cost_of_transport: work of the joints, braking
-    included, per weight and distance; the distance is that of the pelvis from step to step.
+    included, per weight and distance; the distance is that of the point midway between the soles
+    from step to step, since the pelvis also sways where the robot gets nowhere.
     """
 
     pelvis_height_m: dict[str, float | None]
@@ -47,9 +49,10 @@ class GaitSummary:
 
 
 class GaitRecorder:
-    """Watches the only robot of a walker, whose `record` must have qvel, control step by step."""
+    """Watches robot `row` of a walker, whose `record` must have qvel, control step by step."""
 
-    def __init__(self, walker: Walker) -> None:
+    def __init__(self, walker: Walker, row: int = 0) -> None:
+        self._row = row
         self._weight_n = walker.robot.weight_n
         self._joints = walker.scene.joint_qvel
         self._heights_m: list[float] = []
@@ -72,35 +75,36 @@ class GaitRecorder:
 
         `walking` is whether the robot was asked to step.
         """
-        read, sensors = walker.sim.sensors[0], walker.scene.sensors
+        read, sensors = walker.sim.sensors[self._row], walker.scene.sensors
         latest = read[-1]
-        pelvis = latest[sensors.pelvis_pos_world]
-        height_m = float(pelvis[2] - latest[sensors.sole_pos_world[:, 2]].min())
+        soles = latest[sensors.sole_pos_world]
+        height_m = float(latest[sensors.pelvis_pos_world[2]] - soles[:, 2].min())
+        midway_world = soles[:, :2].mean(axis=0)
         force_n = read[:, sensors.ground_force_world[:, 2]]
         if not walking:
             self._resting_m.append(height_m)
             return
         self._resting_m.clear()
         self._peak_n = max(self._peak_n, float(force_n.max()))
-        torque_nm, speed = read[:, sensors.joint_torque], walker.sim.recorded["qvel"][0]
+        torque_nm, speed = read[:, sensors.joint_torque], walker.sim.recorded["qvel"][self._row]
         power_w = np.abs(torque_nm * speed[:, self._joints]).sum(axis=1)
         self._work_j += float(power_w.mean()) * CONTROL_PERIOD_S
         self._walked_s += CONTROL_PERIOD_S
         self._heights_m.append(height_m)
-        if walker.cursor.entry[0] < STANCE and not landed:
-            self._step_from_world = pelvis[:2].copy()
+        if walker.cursor.entry[self._row] < STANCE and not landed:
+            self._step_from_world = midway_world
             return  # The weight shift before the first step is not a step.
         self._step_heights_m.append(height_m)
         self._sole_path_world.append(latest[sensors.sole_pos_world[side]])
         self._sole_down_m_s.append(-read[:, sensors.sole_linvel_world[side, 2]])
         self._sole_force_n.append(force_n[:, side])
         if landed:
-            self._end_step(pelvis[:2].copy())
+            self._end_step(midway_world)
 
-    def _end_step(self, pelvis_xy_world: np.ndarray) -> None:
+    def _end_step(self, midway_world: np.ndarray) -> None:
         if self._step_from_world is not None:
-            self._walked_m += float(np.linalg.norm(pelvis_xy_world - self._step_from_world))
-        self._step_from_world = pelvis_xy_world
+            self._walked_m += float(np.linalg.norm(midway_world - self._step_from_world))
+        self._step_from_world = midway_world
         self._bobs_m.append(float(np.ptp(self._step_heights_m)))
         self._apexes_m.append(swing_apex_m(np.array(self._sole_path_world)))
         touchdown = touchdown_speed_m_s(
@@ -114,23 +118,36 @@ class GaitRecorder:
 
     def summary(self) -> GaitSummary | None:
         """The figures; None where too few steps were taken."""
-        if len(self._bobs_m) < LEAST_STEPS or self._walked_m <= 0:
-            return None
-        rest = self._resting_m[-round(REST_S / CONTROL_PERIOD_S) :]
-        touchdowns = self._touchdowns_m_s
-        return GaitSummary(
-            pelvis_height_m={
-                "median": float(np.median(self._heights_m)),
-                "least": float(np.min(self._heights_m)),
-                "at_rest": float(np.mean(rest)) if rest else None,
-            },
-            pelvis_bob_m=float(np.median(self._bobs_m)),
-            swing_apex_m=_median_and_p95(self._apexes_m),
-            touchdown_speed_m_s=_median_and_p95(touchdowns) if touchdowns else None,
-            peak_force_weights=self._peak_n / self._weight_n,
-            cost_of_transport=self._work_j / (self._weight_n * self._walked_m),
-            speed_m_s=self._walked_m / self._walked_s,
-        )
+        return summary_of([self])
+
+
+def summary_of(walks: Sequence[GaitRecorder]) -> GaitSummary | None:
+    """The figures of the same robot's walks as one; None where too few steps were taken.
+
+    The height at rest is the median over the walks that came to rest.
+    """
+    bobs_m = [bob_m for walk in walks for bob_m in walk._bobs_m]
+    walked_m = sum(walk._walked_m for walk in walks)
+    if len(bobs_m) < LEAST_STEPS or walked_m <= 0:
+        return None
+    heights_m = np.concatenate([walk._heights_m for walk in walks])
+    latest = round(REST_S / CONTROL_PERIOD_S)
+    rests_m = [np.mean(walk._resting_m[-latest:]) for walk in walks if walk._resting_m]
+    touchdowns = [speed for walk in walks for speed in walk._touchdowns_m_s]
+    weight_n = walks[0]._weight_n
+    return GaitSummary(
+        pelvis_height_m={
+            "median": float(np.median(heights_m)),
+            "least": float(heights_m.min()),
+            "at_rest": float(np.median(rests_m)) if rests_m else None,
+        },
+        pelvis_bob_m=float(np.median(bobs_m)),
+        swing_apex_m=_median_and_p95([apex_m for walk in walks for apex_m in walk._apexes_m]),
+        touchdown_speed_m_s=_median_and_p95(touchdowns) if touchdowns else None,
+        peak_force_weights=max(walk._peak_n for walk in walks) / weight_n,
+        cost_of_transport=sum(walk._work_j for walk in walks) / (weight_n * walked_m),
+        speed_m_s=walked_m / sum(walk._walked_s for walk in walks),
+    )
 
 
 def swing_apex_m(path_world: np.ndarray) -> float:
