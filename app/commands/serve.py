@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from app.options import (
+    FileOption,
     MapOptions,
     OptionalFile,
     PlannerName,
@@ -36,7 +37,7 @@ class ServeOptions(MapOptions):
     The page is for this machine alone unless --host says more. Ctrl-C ends it.
     """
 
-    map: Annotated[Path, text("FILE")] = Path("maps/room.png")
+    map: FileOption = Path("maps/room.png")
     """The map: an image with its YAML beside it, or the YAML, such as maps/office.png."""
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
