@@ -22,7 +22,7 @@ from PIL import Image
 
 from app.output import replacing
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def main() -> None:

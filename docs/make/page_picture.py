@@ -20,7 +20,7 @@ from playwright.sync_api import sync_playwright
 
 from app.output import replacing
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 ARGUMENTS += ["--enable-unsafe-swiftshader", "--disable-background-networking", "--no-first-run"]
 PATIENCE_MS = 300_000
