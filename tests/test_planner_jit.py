@@ -46,7 +46,7 @@ def test_lean_functions_neither_give_back_arrays_nor_take_any_from_others():
     functions = compiled_functions("njit_no_refcount")
     assert len(functions) > 50
     giving = {f.name for f in compiled_functions("njit_arrays") if not is_plain(f)}
-    assert "new_work" in giving
+    assert "new_workspace" in giving
     for function in functions:
         assert is_plain(function), function.name
         assert not names_in(function) & giving, function.name
