@@ -9,7 +9,7 @@ from dataclasses import dataclass
 SAMPLING_PLANNERS = ("rrtconnect", "rrtstar", "informed-rrtstar", "bitstar", "prmstar", "fmt")
 PLANNERS = ("ara", "astar", "backward", "adstar", "rstar", *SAMPLING_PLANNERS)
 
-# What the search that proves goes by; FULL is all that is known, the others are in `simpler.py`.
+# Heuristics of the anytime search; FULL is the greatest lower bound, see `heuristics/heuristic.py`.
 FULL = "full"
 HEURISTICS = (FULL, "path", "steps", "euclidean")
 # The others look from the goal to the start, or have no heuristic.

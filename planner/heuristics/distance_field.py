@@ -1,4 +1,4 @@
-"""2D path cost from the goal over the body's cells: the part D of the heuristic of `guide.py`."""
+"""2D path cost from the goal over the body's cells: part D of the heuristic (`potential.py`)."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def raise_by_arrival(
     arrive_um: Int64s,
     exact_um: int,
 ) -> int:
-    """Adds to all path costs what it costs to arrive from there (see `facing.py`).
+    """Adds to all path costs what it costs to arrive from there (see `turning.py`).
 
     From a cell whose path to the goal is straight and within the ring of the endgame the table says
     it; up to exact_um the search looks there itself. All other ways arrive like that from the

@@ -42,7 +42,7 @@ class GoalTable:
 def build_goal_table(model: StepModel, table: StepTable, potential: Potential) -> GoalTable:
     """The table of a step model."""
     cap_um = int(potential.rate * _RADIUS_CELLS * model.cell_m * 1e6)
-    # By the inequality (1) of `guide.py` no state whose cost is below the cap has its body farther.
+    # By inequality (1) of `potential.py` no state whose cost is below the cap has its body farther.
     body_cells = max(cap_um - int(potential.potential_um.min()), 0) // int(potential.move_um.min())
     reach = (
         body_cells

@@ -1,4 +1,4 @@
-"""The heuristic as searches read it, compiled: see `guide.py`, `endgame.py` and `exits.py`."""
+"""The heuristic as searches read it, compiled: potential, distance field, goal table, turning."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def heuristic_toward_region(
 ) -> Heuristic:
     """Least cost to the end of a plan at any of the nodes (n,), of which there must be one.
 
-    By the inequality (1) of `guide.py`, summed up to an end e,
+    By the inequality (1) of `potential.py`, summed up to an end e,
 
         h(s) = p(s) + min over e of [ D(cell(s), cell(e)) - p(e) ] + cost of the last step.
 
@@ -205,7 +205,7 @@ def _most_exact(lattice: Lattice, tables: Tables, ends: Int64s) -> int:
 # all steps of (cost - step_cost_m) / |v|;
 # - steps: the same, and step_cost_m for each of the steps that this takes at least, which is the
 # distance over the longest |v|;
-# - path: the cost of the body's path around obstacles, as in `guide.py`.
+# - path: the cost of the body's path around obstacles, as in `potential.py`.
 
 
 def simpler_heuristic(

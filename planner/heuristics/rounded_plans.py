@@ -144,7 +144,7 @@ def rounded_steps(
     return steps
 
 
-# The costs V of `rounded.py`: Dijkstra's search from the ends of a plan over the coarse grid.
+# The costs V of the rounded plans: Dijkstra's search from the ends of a plan over the coarse grid.
 
 MOST_STATES = 1 << 28  # of a grid
 _TURN = 1 << 12  # states between two looks at whether to go on

@@ -115,7 +115,7 @@ def _leave(
                 cost_um[r, c] = potential_um - straight_um[r, c]
                 low, high = min(low, cost_um[r, c].min()), max(high, cost_um[r, c].max())
     width = least_step(steps)
-    # All that is in a bucket is found by a look at everything, as in `endgame.py`.
+    # All that is in a bucket is found by a look at everything, as in `goal_table.py`.
     while low <= high:
         for r in range(size):
             for c in range(size):
@@ -202,7 +202,7 @@ def exit_bound(
     return least - 1
 
 
-# What turning costs, for a search that wants a plan soon: estimates, not bounds as in `exits.py`.
+# What turning costs, for a search that wants a plan soon: estimates, not bounds as those above.
 #
 # Both come from the exact table on an empty map. To go off one way while facing another costs what
 # a walk of some metres costs that ends along the line it goes, less the cost of that line. To

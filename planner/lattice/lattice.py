@@ -190,7 +190,7 @@ def _climb(model: StepModel) -> tuple[int, int, int, int]:
 
 
 def _swing_reach(model: StepModel) -> float:
-    """How far from the support foot's centre the feet of a step may pass (see `rise.py`)."""
+    """How far from the support foot's centre the feet of a step may pass (see `step_climbs`)."""
     limits = model.limits
     step_m = math.hypot(max(map(abs, limits.x_m)), max(map(abs, limits.y_m)))
     sole_m = math.hypot(model.foot.length_m, model.foot.width_m) / 2
