@@ -243,7 +243,7 @@ def test_another_policy_beside(tmp_path, capsys):
     assert "| forward | 0 of 1 | 1 of 1 | 2.0 / 4.7 cm | 2.0 / 4.7 cm |" in text
     assert "| 10 cm up | 100.0 % of 100 | 50.0 % of 100 |" in text
     assert "15 cm down" not in text
-    assert "--reward precise" in text
+    assert "--reward quiet" in text
     write_figures({"beside": mine["beside"], "modes": mine["modes"]}, tmp_path)
     assert "](beside.png)" in text
     assert cv2.imread(str(tmp_path / "beside.png")) is not None
