@@ -6,7 +6,6 @@ import contextlib
 import io
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,6 +18,8 @@ from controller.env import TaskConfig, WalkTask
 from controller.observation import SCALED_LIMIT, critic_fields, mirror_map, policy_fields
 from controller.rewards import RewardSchedule
 
+MirrorMap = tuple[np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True, kw_only=True)
 class PpoConfig:
@@ -29,12 +30,11 @@ class PpoConfig:
     hidden: tuple[int, ...] = (256, 256)
     epochs: int = 4
     minibatches: int = 8
-    learning_rate: tuple[float, float] = (3e-4, 1e-4)
-    action_std_rad: tuple[float, float] = (0.223, 0.1)
+    learning_rate: tuple[float, float] = (3e-4, 7e-5)
+    action_std_rad: tuple[float, float] = (0.223, 0.08)
     gamma: float = 0.99
     lam: float = 0.95
     clip: float = 0.2
-    mirror_loss: float = 0.4
     learner_threads: int = 2
 
     @property
@@ -79,38 +79,41 @@ def _limited(observation: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(np.clip(observation, -SCALED_LIMIT, SCALED_LIMIT)).float()
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """rsl-rl's symmetry function: the batch followed by its mirror image."""
+class SymmetricNetwork(torch.nn.Module):
+    """The mean of a network and its mirror image, so that left and right are alike by design.
 
-    index: dict[str, torch.Tensor] = field(default_factory=dict)
-    sign: dict[str, torch.Tensor] = field(default_factory=dict)
+    With M that mirrors observations x and N that mirrors outputs, each an (index, sign) pair as
+    from `mirror_map`: (f(x) + N f(M x)) / 2.
+    """
 
-    @classmethod
-    def of(cls, task: WalkTask) -> Mirror:
-        """Mirror maps of both observations and of the action, derived from their fields."""
-        fields = policy_fields(task.robot)
-        maps = {
-            "actor": mirror_map(fields),
-            "critic": mirror_map(fields + critic_fields()),
-            "action": task.robot.mirror_joints,
-        }
-        index = {key: torch.from_numpy(value[0]) for key, value in maps.items()}
-        sign = {key: torch.from_numpy(value[1]).float() for key, value in maps.items()}
-        return cls(index=index, sign=sign)
+    def __init__(self, network: torch.nn.Module, observed: MirrorMap, output: MirrorMap):
+        super().__init__()
+        self.network = network
+        self._index, self._output_index = (torch.from_numpy(m[0]) for m in (observed, output))
+        self._sign, self._output_sign = (torch.from_numpy(m[1]).float() for m in (observed, output))
 
-    def __call__(
-        self, *, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
-    ) -> tuple[TensorDict | None, torch.Tensor | None]:
-        """Observations and actions (2 n, ...) of a batch of n, each if given."""
-        del env
-        if obs is not None:
-            both = {key: self._both(key, obs[key]) for key in ("actor", "critic")}
-            obs = TensorDict(both, batch_size=[2 * obs.batch_size[0]])
-        return obs, None if actions is None else self._both("action", actions)
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Outputs (n, J) for scaled observations (n, N)."""
+        mirrored = observation[:, self._index] * self._sign
+        output, image = self.network(torch.cat([observation, mirrored])).chunk(2)
+        return 0.5 * (output + image[:, self._output_index] * self._output_sign)
 
-    def _both(self, key: str, values: torch.Tensor) -> torch.Tensor:
-        return torch.cat([values, values[:, self.index[key]] * self.sign[key]])
+    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """It as one plain network of twice the width: layers of (weight, bias) arrays."""
+        linear = [m for m in self.network.modules() if isinstance(m, torch.nn.Linear)]
+        arrays = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in linear]
+        (first, first_bias), *middle, (last, last_bias) = arrays
+        image = np.zeros_like(first)
+        image[:, self._index.numpy()] = first * self._sign.numpy()
+        index, sign = self._output_index.numpy(), self._output_sign.numpy()
+        return (
+            (np.vstack([first, image]), np.tile(first_bias, 2)),
+            *((np.kron(np.eye(2, dtype=w.dtype), w), np.tile(b, 2)) for w, b in middle),
+            (
+                0.5 * np.hstack([last, last[index] * sign[:, None]]),
+                0.5 * (last_bias + last_bias[index] * sign),
+            ),
+        )
 
 
 def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
@@ -133,11 +136,6 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
             "lam": config.lam,
             "clip_param": config.clip,
             "entropy_coef": 0.0,
-            "symmetry_cfg": {
-                "data_augmentation_func": Mirror.of(env.task),
-                "use_mirror_loss": True,
-                "mirror_loss_coeff": config.mirror_loss,
-            },
         },
         "actor": {**network, "distribution_cfg": noise},
         "critic": dict(network),
@@ -146,7 +144,12 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
         "multi_gpu": None,
     }
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
-        return PPO.construct_algorithm(env.get_observations(), env, settings, "cpu")
+        ppo = PPO.construct_algorithm(env.get_observations(), env, settings, "cpu")
+    robot = env.task.robot
+    seen, alone = policy_fields(robot), (np.array([0]), np.array([1.0]))
+    ppo.actor.mlp = SymmetricNetwork(ppo.actor.mlp, mirror_map(seen), robot.mirror_joints)
+    ppo.critic.mlp = SymmetricNetwork(ppo.critic.mlp, mirror_map(seen + critic_fields()), alone)
+    return ppo
 
 
 def set_progress(ppo: PPO, config: PpoConfig, share: float) -> None:
@@ -160,12 +163,6 @@ def set_progress(ppo: PPO, config: PpoConfig, share: float) -> None:
         group["lr"] = ppo.learning_rate
     with torch.no_grad():
         ppo.actor.distribution.std_param.fill_(between(config.action_std_rad))
-
-
-def actor_layers(ppo: PPO) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """The actor's layers as (weight, bias) arrays."""
-    layers = [m for m in ppo.get_policy().mlp.modules() if isinstance(m, torch.nn.Linear)]
-    return tuple((m.weight.detach().numpy().copy(), m.bias.detach().numpy().copy()) for m in layers)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,7 +22,9 @@ FOOT_SPEED_SCALE_M_S = 0.4
 SWING_FOOT_SHARE = 0.7
 SWING_HEIGHT_M = 0.06
 HIGH_SWING_M = 0.10
-SWING_APEX_M = 0.075
+# Apex of the swing on level ground, and its increase per metre of climb: edges and treads that are
+# not where they seem need more clearance than level ground and the sills on it.
+SWING_APEX_M, APEX_PER_CLIMB = 0.075, 0.3
 # Sole speed allowed at the ground, its increase per metre of height, and up to which height.
 TOUCHDOWN_M_S, FASTER_PER_S, NEAR_GROUND_M = 0.08, 12.0, 0.06
 
@@ -41,6 +43,7 @@ class StepTargets:
     swinging: np.ndarray  # (B,)
     lift_off: np.ndarray  # (B, 4) pose that the foot of the present step leaves
     previous_action: np.ndarray  # (B, J)
+    joint_speed_rad_s: np.ndarray  # (B, J) before the action
     swing_end_s: np.ndarray  # (B,) from the end of the action to the nearer end of the swing
     step_s: np.ndarray  # (B,) duration of the present step
     standing: np.ndarray  # (B,)
@@ -59,6 +62,7 @@ class StepTargets:
             swinging=cursor.swinging,
             lift_off=cursor.lift_off_poses,
             previous_action=walker.action,
+            joint_speed_rad_s=walker.sim.qvel[:, walker.scene.joint_qvel].copy(),
             swing_end_s=swing_end_ticks * CONTROL_PERIOD_S,
             step_s=cursor.step_s[:, 0],
             standing=cursor.standing,
@@ -85,6 +89,7 @@ class RewardInputs:
     head_offset_m: np.ndarray  # (B,) horizontal, of the head from the pelvis
     action_change_rad: np.ndarray  # (B,) mean absolute
     torque_change_nm: np.ndarray  # (B,) mean absolute
+    joint_acceleration_rad_s2: np.ndarray  # (B,) mean absolute, of the joints over the control step
     swing_height_error_m: np.ndarray  # (B,) of the swing foot from its height profile; else 0
     climb_m: np.ndarray  # (B,) greatest height difference among the footholds of the step
     step_s: np.ndarray  # (B,) duration of the present step
@@ -93,7 +98,8 @@ class RewardInputs:
     posture_error_rad: np.ndarray  # (B,) mean absolute, of the joints from half-sitting
     standing: np.ndarray  # (B,) commanded to stand
     peak_force_weights: np.ndarray  # (B,) of one foot, over the physics steps
-    landing_overspeed_m_s: np.ndarray  # (B, 2) sole speed above that allowed at its height
+    # (B, 2) most over the physics steps, of the sole's speed above that allowed at its height
+    landing_overspeed_m_s: np.ndarray
 
 
 def swing_ground_m(sole: np.ndarray, start: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -111,14 +117,14 @@ def swing_ground_m(sole: np.ndarray, start: np.ndarray, target: np.ndarray) -> n
     return np.asarray(start[:, 2] + share * change)
 
 
-def swing_height_profile_m(swing_end_s: np.ndarray) -> np.ndarray:
+def swing_height_profile_m(swing_end_s: np.ndarray, climb_m: np.ndarray) -> np.ndarray:
     """Reference height (n,) of a swing foot, from the time (n,) to the nearer end of its swing.
 
     It leaves and lands with `TOUCHDOWN_M_S`; speed grows with height, dv/dh = `FASTER_PER_S`, up
-    to `SWING_APEX_M`.
+    to `SWING_APEX_M` and `APEX_PER_CLIMB` of the height difference (n,) of the footholds.
     """
     rising_m = TOUCHDOWN_M_S / FASTER_PER_S * np.expm1(FASTER_PER_S * swing_end_s)
-    return np.asarray(np.minimum(rising_m, SWING_APEX_M))
+    return np.asarray(np.minimum(rising_m, SWING_APEX_M + APEX_PER_CLIMB * climb_m))
 
 
 def reward_inputs(
@@ -136,6 +142,7 @@ def reward_inputs(
     force_z_n = sim.sensors[:, :, sensors.ground_force_world[:, 2]]
     sole_speed = np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2)
     joint_speed = sim.qvel[:, walker.scene.joint_qvel]
+    joint_speed_change = joint_speed - step.joint_speed_rad_s
     posture = qpos[:, walker.scene.joint_qpos] - walker.robot.half_sitting_rad
     to_present = soles[:, :, :3] - window[:, None, 0, :3]
     return RewardInputs(
@@ -153,40 +160,43 @@ def reward_inputs(
         head_offset_m=np.linalg.norm(head_offset, axis=1),
         action_change_rad=np.abs(walker.action - step.previous_action).mean(axis=1),
         torque_change_nm=np.abs(torque_nm - previous_torque_nm).mean(axis=1),
+        joint_acceleration_rad_s2=np.abs(joint_speed_change).mean(axis=1) / CONTROL_PERIOD_S,
         step_s=step.step_s,
         pelvis_speed_z_m_s=latest[:, sensors.pelvis_linvel_world[2]],
         power_w=np.abs(torque_nm * joint_speed).sum(axis=1),
         posture_error_rad=np.abs(posture).mean(axis=1),
         standing=step.standing,
         peak_force_weights=force_z_n.max(axis=(1, 2)) / weight_n,
-        **_swing_inputs(step, soles, sole_speed),
+        **_swing_inputs(walker, step, soles),
     )
 
 
-def _swing_inputs(
-    step: StepTargets, soles: np.ndarray, sole_speed_m_s: np.ndarray
-) -> dict[str, np.ndarray]:
-    """The inputs that treat the swing foot apart, from soles (B, 2, 4) and their speeds (B, 2)."""
-    targets = step.foot_targets
+def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[str, np.ndarray]:
+    """The inputs that treat the swing foot apart, from the soles (B, 2, 4) after the action."""
+    sim, sensors, targets = walker.sim, walker.scene.sensors, step.foot_targets
     rows = np.flatnonzero(step.swinging)
     foot = rows, step.side[rows]
-    share = np.full(sole_speed_m_s.shape, 0.5)
+    share = np.full(targets.shape[:2], 0.5)
     share[foot], share[rows, 1 - step.side[rows]] = SWING_FOOT_SHARE, 1 - SWING_FOOT_SHARE
     ground_z = targets[..., 2].copy()
     ground_z[foot] = swing_ground_m(soles[foot], step.lift_off[rows], targets[foot])
     height_m = soles[..., 2] - ground_z
-    height_error_m = np.zeros(len(soles))
-    height_error_m[rows] = height_m[foot] - swing_height_profile_m(step.swing_end_s[rows])
     climb_m = np.abs(targets[:, 0, 2] - targets[:, 1, 2])
     climb_m[rows] = np.maximum(climb_m[rows], np.abs(targets[foot][:, 2] - step.lift_off[rows, 2]))
-    allowed_m_s = TOUCHDOWN_M_S + FASTER_PER_S * np.maximum(height_m, 0.0)
-    overspeed_m_s = np.maximum(sole_speed_m_s - allowed_m_s, 0.0)
+    height_error_m = np.zeros(len(soles))
+    profile_m = swing_height_profile_m(step.swing_end_s[rows], climb_m[rows])
+    height_error_m[rows] = height_m[foot] - profile_m
+    # A foot may touch down between two control steps, so each physics step counts.
+    heights_m = sim.sensors[:, :, sensors.sole_pos_world[:, 2]] - ground_z[:, None]
+    speeds_m_s = np.linalg.norm(sim.sensors[:, :, sensors.sole_linvel_world], axis=3)
+    allowed_m_s = TOUCHDOWN_M_S + FASTER_PER_S * np.maximum(heights_m, 0.0)
+    overspeed_m_s = np.where(heights_m < NEAR_GROUND_M, speeds_m_s - allowed_m_s, 0.0)
     return {
         "swing_share": share,
         "sole_height_m": height_m,
         "swing_height_error_m": height_error_m,
         "climb_m": climb_m,
-        "landing_overspeed_m_s": np.where(height_m < NEAR_GROUND_M, overspeed_m_s, 0.0),
+        "landing_overspeed_m_s": np.maximum(overspeed_m_s.max(axis=1), 0.0),
     }
 
 
@@ -269,6 +279,11 @@ def torque_smoothness(s: RewardInputs) -> np.ndarray:
     return np.exp(-0.25 * s.torque_change_nm)
 
 
+def joint_acceleration(s: RewardInputs) -> np.ndarray:
+    """Joints that neither jerk nor shake."""
+    return np.exp(-s.joint_acceleration_rad_s2 / 25)
+
+
 def stance_at_rest(s: RewardInputs) -> np.ndarray:
     """Support feet at rest."""
     weight = (1 + s.support_indicator) / 2
@@ -277,9 +292,8 @@ def stance_at_rest(s: RewardInputs) -> np.ndarray:
 
 
 def swing_profile(s: RewardInputs) -> np.ndarray:
-    """The swing foot on its height profile: a wide kernel and a narrow one."""
-    error_m = np.abs(s.swing_height_error_m)
-    return 0.5 * np.exp(-error_m / 0.05) + 0.5 * np.exp(-error_m / 0.015)
+    """The swing foot on its height profile; as steep far from it as near."""
+    return 1 - np.minimum(np.abs(s.swing_height_error_m) / 0.06, 2.0)
 
 
 def pelvis_height(s: RewardInputs) -> np.ndarray:
@@ -330,6 +344,7 @@ TERMS = {
         upper_body,
         action_smoothness,
         torque_smoothness,
+        joint_acceleration,
         stance_at_rest,
         swing_profile,
         pelvis_height,
@@ -366,21 +381,21 @@ PRECISE: Mapping[str, float] = {
 }
 # Upright, quiet, low power. Alone it trains a policy that stands still: see `RewardSchedule`.
 QUIET: Mapping[str, float] = {
-    "ground_force": 0.11,
-    "named_foot_step": 0.30,
+    "ground_force": 0.09,
+    "named_foot_step": 0.29,
     "named_foot_heading": 0.06,
     "stance_at_rest": 0.05,
     "swing_profile": 0.09,
-    "soft_landing": 0.05,
+    "soft_landing": 0.08,
     "upright": 0.05,
     "facing": 0.04,
-    "pelvis_height": 0.06,
-    "pelvis_speed": 0.04,
-    "power": 0.04,
+    "pelvis_height": 0.05,
+    "pelvis_speed": 0.03,
+    "power": 0.05,
     "standing_posture": 0.03,
-    "peak_force": 0.03,
-    "action_smoothness": 0.03,
-    "torque_smoothness": 0.02,
+    "peak_force": 0.04,
+    "joint_acceleration": 0.03,
+    "action_smoothness": 0.02,
 }
 PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}
 

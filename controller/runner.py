@@ -29,7 +29,7 @@ from controller.checkpoint import (
 from controller.curriculum import Stage
 from controller.env import Transition, WalkTask
 from controller.policy import Policy, policy_for, save_policy
-from controller.ppo import RslWalkEnv, TrainConfig, actor_layers, make_ppo, set_progress
+from controller.ppo import RslWalkEnv, TrainConfig, make_ppo, set_progress
 from controller.step_sequences import PlannedSteps
 from sim.robot import Robot
 
@@ -247,7 +247,7 @@ class Trainer:
         config = self.config
         return policy_for(
             self.robot,
-            actor_layers(self.ppo),
+            self.ppo.actor.mlp.layers(),
             mujoco_version=mujoco.__version__,
             trained={
                 "command": self.command,
