@@ -7,13 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from controller.assessment import assess_mode
 from controller.checkpoint import TrainingError
 from controller.curriculum import Curriculum, Stage
 from controller.env import TaskConfig, WalkTask
+from controller.observation import critic_fields, mirror_map, policy_fields
 from controller.policy import Policy, PolicyError, load_policy, policy_for, save_policy
-from controller.ppo import PpoConfig, TrainConfig
+from controller.ppo import PpoConfig, RslWalkEnv, TrainConfig, make_ppo
 from controller.runner import Trainer
 from controller.step_cursor import STANCE
 from controller.step_sequences import MAX_STEPS, MODES, PlannedSteps, draw_sequence
@@ -33,6 +35,32 @@ TINY = TrainConfig(
     task=TaskConfig(episode_ticks=8),
     ppo=PpoConfig(robots=4, ticks_per_update=16, hidden=(8,), minibatches=2, epochs=2),
 )
+
+
+@pytest.mark.parametrize("name", robot_names())
+def test_networks_treat_left_and_right_alike(name):
+    """Whatever their weights; and the layers that are saved are the network that was trained."""
+    robot, rng = get_robot(name), np.random.default_rng(3)
+    learner = make_ppo(RslWalkEnv(WalkTask(robot, count=2, seed=0)), TINY.ppo)
+    for parameter in (*learner.actor.mlp.parameters(), *learner.critic.mlp.parameters()):
+        torch.nn.init.normal_(parameter)
+    policy = policy_for(robot, learner.actor.mlp.layers())
+    index, sign = mirror_map(policy_fields(robot))
+    seen = rng.normal(size=(20, len(index)))
+    action, image = policy.act_scaled(seen), policy.act_scaled(seen[:, index] * sign)
+    joint_index, joint_sign = robot.mirror_joints
+    size = np.abs(action).max()
+    assert image == pytest.approx(action[:, joint_index] * joint_sign, abs=1e-5 * size)
+    trained = learner.actor.mlp(torch.from_numpy(seen).float()).detach().numpy()
+    assert trained == pytest.approx(action, abs=1e-5 * size)
+
+    index, sign = mirror_map(policy_fields(robot) + critic_fields())
+    seen = rng.normal(size=(20, len(index)))
+    value, image = (
+        learner.critic.mlp(torch.from_numpy(x).float()).detach().numpy()
+        for x in (seen, seen[:, index] * sign)
+    )
+    assert image == pytest.approx(value, abs=1e-4 * float(np.abs(value).max()))
 
 
 def small_policy(robot, seed=0) -> Policy:
