@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +12,13 @@ from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.observation import rotate_xy
 from controller.policy import Policy
-from controller.ppo import TrainConfig
 from controller.randomization import DomainRandomization
 from controller.stairs import STAIR_MODES
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    # Only `train` needs the libraries that it loads.
+    from controller.ppo import TrainConfig
 
 ASSESS_SEED = 987_654_321
 # Disturbances, at level 1, of the held-out stair episodes that have any.

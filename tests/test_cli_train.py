@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -14,6 +17,7 @@ from controller.checkpoint import TrainingError
 from planner.corpus.corpus import MANIFEST, PLANS, corpus_of
 from sim.robots import get_robot, robot_names
 
+ROOT = Path(__file__).resolve().parent.parent
 WITH_H1 = pytest.mark.skipif(
     "h1" not in robot_names(), reason="its model comes with the extra `unitree`"
 )
@@ -168,3 +172,47 @@ def test_impossible_ranges_are_refused(words, told, tmp_path, trainers, capsys):
 def test_highest_stair_is_the_one_asked_for_or_the_robots(robot, words, top_m, tmp_path):
     options = TrainOptions(out=tmp_path, robot=robot, **words)
     assert chosen_curriculum(options, get_robot(robot)).top_rise_m == top_m
+
+
+# Hides the libraries of the extra `train`, loads every file that does without, and runs a command.
+WITHOUT_LEARNER = """
+import importlib, pathlib, sys
+hidden = {"torch", "rsl_rl", "tensordict", "tensorboard"}
+class Finder:
+    def __init__(self, finder):
+        self.finder = finder
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] not in hidden:
+            return self.finder.find_spec(name, path, target)
+    def __getattr__(self, name):
+        return getattr(self.finder, name)
+sys.meta_path[:] = map(Finder, sys.meta_path)
+learner = {"controller.ppo", "controller.runner", "controller.checkpoint"}
+files = [path for room in ("controller", "app") for path in pathlib.Path(room).rglob("*.py")]
+names = {".".join(path.with_suffix("").parts) for path in files} - learner
+assert len(names) > 60, names
+for name in sorted(names):
+    importlib.import_module(name)
+from app.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["navigate", "--map", "maps/room.png", "--goal", "0.5,0.5,0"], 0, "reached"),
+        (["train"], 2, "train needs torch, rsl_rl, tensorboard, which the extra `train` installs"),
+    ],
+)
+def test_only_training_needs_torch(words, code, said, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_LEARNER, *words, "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=ROOT,
+    )
+    assert done.returncode == code, done.stderr
+    assert said in done.stdout + done.stderr
+    assert "Traceback" not in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 from dataclasses import asdict, dataclass, replace
@@ -70,6 +71,8 @@ class TrainOptions:
     """Go on with the run in the folder."""
 
 
+# Modules of the extra `train`.
+LEARNER = ("torch", "rsl_rl", "tensorboard")
 # A robot that may not step so high climbs no stairs.
 LEAST_RISE_M = 0.02
 OWN_CORPUS = "corpus"
@@ -78,6 +81,7 @@ CORPUS_PLANS = 1000
 
 def run(options: TrainOptions) -> int:
     """Carries the command out; returns the exit code."""
+    require_learner()
     from controller.checkpoint import TrainingError
     from controller.env import TaskConfig
     from controller.ppo import TrainConfig
@@ -115,6 +119,20 @@ def run(options: TrainOptions) -> int:
         trainer.run(lambda report: bar.update(report.samples, progress_line(report)))
     say(f"the best policy is {options.out / robot.name}.safetensors")
     return ExitCode.DONE
+
+
+def require_learner() -> None:
+    """Checks that the libraries of the learner, which no other command needs, are installed.
+
+    Raises:
+        InputError: they are not; the message says what to install.
+    """
+    missing = [name for name in LEARNER if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"train needs {', '.join(missing)}, which the extra `train` installs: "
+            "python -m pip install -e '.[train]'"
+        )
 
 
 def chosen_curriculum(options: TrainOptions, robot: Robot) -> Curriculum:
