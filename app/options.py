@@ -23,11 +23,12 @@ from tyro import _errors as tyro_errors
 from tyro.constructors import PrimitiveConstructorSpec
 
 from app.output import InputError, as_bad_input, say
-from controller.policy import Policy, PolicyError
+from controller.gait import PACES
+from controller.policy import Policy, PolicyError, load_policy
 from controller.tracking_limits import with_tracking_limits
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
-from planner.options import HEURISTICS, PLANNERS
+from planner.options import PLANNERS, PlannerOptions
 from sim.robot import Robot
 from sim.robots import get_robot
 
@@ -56,46 +57,35 @@ class Reach(NamedTuple):
     rad: float
 
 
-def _numbers(text: str, count: int) -> list[float] | None:
-    """The finite numbers of `text`, with commas between; None unless there are `count` of them."""
+NumberTuple = TypeVar("NumberTuple", Pose, Interval, Reach)
+
+
+def _parse(text: str, kind: type[NumberTuple], wanted: str) -> NumberTuple:
+    """The numbers of `text`, with commas between; ValueError unless they are finite and fit."""
     try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        return None
-    return values if len(values) == count and all(map(math.isfinite, values)) else None
+        value = kind(*map(float, text.split(",")))
+    except (ValueError, TypeError):
+        raise ValueError(f"{text!r} is not {wanted}") from None
+    in_order = not isinstance(value, Interval) or value.low <= value.high
+    positive = not isinstance(value, Reach) or min(value) >= 0
+    if not (all(map(math.isfinite, value)) and in_order and positive):
+        raise ValueError(f"{text!r} is not {wanted}")
+    return value
 
 
 def parse_reach(text: str) -> Reach:
     """The reach written as `M,RAD`; raises ValueError for any other text."""
-    values = _numbers(text, 2)
-    if values is None or min(values) < 0:
-        raise ValueError(
-            f"{text!r} is not a reach; write M,RAD in metres and radians, such as 0.05,0.1"
-        )
-    return Reach(*values)
+    return _parse(text, Reach, "a reach; write M,RAD in metres and radians, such as 0.05,0.1")
 
 
 def parse_interval(text: str) -> Interval:
     """The interval written as `LOW,HIGH`; raises ValueError for any other text."""
-    values = _numbers(text, 2)
-    if values is None or values[0] > values[1]:
-        raise ValueError(f"{text!r} is not a range; write LOW,HIGH, such as -1,1")
-    return Interval(*values)
+    return _parse(text, Interval, "a range; write LOW,HIGH, such as -1,1")
 
 
 def parse_pose(text: str) -> Pose:
     """The pose written as `X,Y,YAW`, metres and radians; raises ValueError for any other text."""
-    values = _numbers(text, 3)
-    if values is None:
-        raise ValueError(
-            f"{text!r} is not a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57"
-        )
-    return Pose(*values)
-
-
-def parse_poses(text: str) -> tuple[Pose, ...]:
-    """Poses with colons between; raises ValueError where one of them is not a pose."""
-    return tuple(parse_pose(part) for part in text.split(":"))
+    return _parse(text, Pose, "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57")
 
 
 def number(
@@ -192,7 +182,8 @@ _POSE = _spec("X,Y,YAW", lambda words: parse_pose(words[0]))
 PoseOption = Annotated[Pose, _POSE]
 OptionalPose = Annotated[Pose | None, _POSE]
 PosesOption = Annotated[
-    tuple[Pose, ...], _spec("X,Y,YAW:X,Y,YAW...", lambda words: parse_poses(words[0]))
+    tuple[Pose, ...],
+    _spec("X,Y,YAW:X,Y,YAW...", lambda words: tuple(map(parse_pose, words[0].split(":")))),
 ]
 OptionalInterval = Annotated[
     Interval | None, _spec("LOW,HIGH", lambda words: parse_interval(words[0]))
@@ -304,9 +295,59 @@ class MapOptions:
     """Let the robot step on cells of which the map says neither free nor occupied."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class GoalOptions(MapOptions):
+    """From where to where on the map."""
+
+    goal: PoseOption
+    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
+
+    start: PoseOption = Pose(0.0, 0.0, 0.0)
+    """Where the robot stands at first, such as -1,2,0."""
+
+    goal_tolerance: ReachOption = Reach(0.0, 0.0)
+    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.05,0.08."""
+
+
 RobotName = Annotated[str, text("NAME")]
-PlannerName = Annotated[str, choice(*PLANNERS)]
-HeuristicName = Annotated[str, choice(*HEURISTICS)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotOptions:
+    """Which robot, and who moves it."""
+
+    robot: RobotName = "jvrc1"
+    """Which robot, such as jvrc1."""
+
+    policy: OptionalFile = None
+    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanningOptions(RobotOptions, MapOptions):
+    """Which robot, and how its steps on the map are planned."""
+
+    planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
+    """Which planner, such as ara; docs/planners.md tells them apart."""
+
+    refine: bool = True
+    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
+
+    seed: Annotated[int, whole_number(at_least=0)] = 0
+    """Seed of everything random, such as 7."""
+
+    def planner_options(self, **others: Any) -> PlannerOptions:
+        """What the planner is told, with other fields of PlannerOptions beside these."""
+        return PlannerOptions(
+            name=self.planner,
+            refine=self.refine,
+            unknown_is_free=self.unknown_is_free,
+            seed=self.seed,
+            **others,
+        )
+
+
+PaceOption = Annotated[str, choice(*PACES)]
 
 
 def read_grid(options: MapOptions) -> OccupancyGrid:
@@ -332,20 +373,6 @@ def find_robot(name: str) -> Robot:
         return get_robot(name)
 
 
-def require_pace(policy: Policy, robot: Robot, pace: str) -> None:
-    """Checks that a policy can walk at a pace.
-
-    Raises:
-        InputError: It knows its robot's own gait alone.
-    """
-    if pace != "normal" and not policy.is_paced:
-        raise InputError(
-            f"--pace {pace}: the policy of {robot.name} knows one pace, {robot.gait.step_s:g} s a "
-            "step; walk at --pace normal, or give --policy one that `train` made since steps have "
-            "durations"
-        )
-
-
 def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
     """The robot of that name with the step model that planning uses.
 
@@ -358,3 +385,21 @@ def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
     robot = find_robot(name)
     with as_bad_input(PolicyError):
         return with_tracking_limits(robot, policy)
+
+
+def load_walker(name: str, policy_file: Path | None, pace: str = "normal") -> tuple[Robot, Policy]:
+    """The robot as `find_robot_with_limits` gives it, and the policy that walks it at that pace.
+
+    Raises:
+        InputError: There is no such robot or policy, or it knows its robot's own gait alone.
+    """
+    robot = find_robot_with_limits(name, policy_file)
+    with as_bad_input(PolicyError):
+        policy = load_policy(robot, policy_file)
+    if pace != "normal" and not policy.is_paced:
+        raise InputError(
+            f"--pace {pace}: the policy of {robot.name} knows one pace, {robot.gait.step_s:g} s a "
+            "step; walk at --pace normal, or give --policy one that `train` made since steps have "
+            "durations"
+        )
+    return robot, policy

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from app.navigation.report import installed_versions
 from app.options import (
     FolderOption,
-    OptionalFile,
     OptionalFolder,
-    RobotName,
+    RobotOptions,
     find_robot,
     some_of,
     whole_number,
@@ -42,7 +41,7 @@ ENOUGH_EPISODES = 100
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateOptions:
+class EvaluateOptions(RobotOptions):
     """Measure how well a policy walks, and write one report with figures.
 
     Sections: falls and foot errors of every mode (modes), stairs with noise on treads and joints
@@ -55,12 +54,6 @@ class EvaluateOptions:
 
     out: FolderOption
     """Folder of the report, such as runs/evaluate; made when missing."""
-
-    robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
-
-    policy: OptionalFile = None
-    """The policy to measure, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 
     sections: Annotated[tuple[str, ...], some_of(*SECTION_NAMES)] = SECTION_NAMES
     """What to measure, such as modes,stairs."""

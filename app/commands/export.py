@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.options import FileOption, OptionalFile, RobotName, find_robot
+from app.options import FileOption, RobotOptions, find_robot
 from app.output import ExitCode, as_bad_input, replacing, require_writable, say, to_json
 from controller.policy import PolicyError, load_policy
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExportOptions:
+class ExportOptions(RobotOptions):
     """Write a policy as one ONNX file, with its normaliser and all that its user must know inside.
 
     The observation goes in as it is measured, joint offsets in rad come out. Before the file gets
@@ -20,12 +20,6 @@ class ExportOptions:
 
     out: FileOption
     """The file, such as policy.onnx."""
-
-    robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
-
-    policy: OptionalFile = None
-    """The policy to export, such as runs/train/jvrc1.safetensors; none: the robot's own."""
 
     json: bool = False
     """Print what is in the file, and how exact it is, on standard output as JSON."""

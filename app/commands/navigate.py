@@ -10,43 +10,33 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.navigation.report import (
-    NavigationReport,
-    Outcome,
-    PolicyFile,
-)
+from app.navigation.report import NavigationReport, Outcome, PolicyFile
 from app.options import (
     FolderOption,
-    MapOptions,
+    GoalOptions,
     OptionalFile,
-    PlannerName,
+    PaceOption,
+    PlanningOptions,
     Pose,
-    PoseOption,
     Reach,
-    ReachOption,
-    RobotName,
-    choice,
-    find_robot_with_limits,
+    load_walker,
     read_grid,
-    require_pace,
-    whole_number,
 )
 from app.output import (
     PICTURE_ENDINGS,
     InputError,
     ProgressBar,
-    as_bad_input,
     make_folder,
     require_writable,
     say,
     write_text,
 )
-from controller.gait import CONTROL_PERIOD_S, PACES
-from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
+from controller.gait import CONTROL_PERIOD_S
+from controller.policy import POLICY_FOLDER, Policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
@@ -58,7 +48,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NavigateOptions(MapOptions):
+class NavigateOptions(PlanningOptions, GoalOptions):
     """Plan footsteps to the goal, walk them in MuJoCo with the trained policy, and report.
 
     The robot plans again when a foot lands too far from its step. The exit code is 0 when the
@@ -66,32 +56,8 @@ class NavigateOptions(MapOptions):
     was a plan and the walk failed.
     """
 
-    goal: PoseOption
-    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
-
-    start: PoseOption = Pose(0.0, 0.0, 0.0)
-    """Where the robot stands at first, such as -1,2,0."""
-
-    goal_tolerance: ReachOption = Reach(0.0, 0.0)
-    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.05,0.08."""
-
-    robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
-
-    planner: PlannerName = PlannerOptions.name
-    """Which planner, such as ara; docs/planners.md tells them apart."""
-
-    pace: Annotated[str, choice(*PACES)] = "normal"
+    pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
-
-    refine: bool = True
-    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
-
-    policy: OptionalFile = None
-    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
-
-    seed: Annotated[int, whole_number(at_least=0)] = 0
-    """Seed of everything random, such as 7."""
 
     out: FolderOption = Path("runs/navigate")
     """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
@@ -117,14 +83,8 @@ class NavigateOptions(MapOptions):
     @property
     def search(self) -> PlannerOptions:
         """What the planner is told."""
-        return PlannerOptions(
-            name=self.planner,
-            refine=self.refine,
-            unknown_is_free=self.unknown_is_free,
-            seed=self.seed,
-            goal_reach_m=self.goal_tolerance.m,
-            goal_reach_rad=self.goal_tolerance.rad,
-        )
+        m, rad = self.goal_tolerance
+        return self.planner_options(goal_reach_m=m, goal_reach_rad=rad)
 
     @property
     def draws_robot(self) -> bool:
@@ -154,11 +114,8 @@ def walk_and_report(options: NavigateOptions) -> int:
     """Carries the command out; returns the exit code."""
     started = time.perf_counter()
     _require_reachable(options)
-    grid, robot = read_grid(options), find_robot_with_limits(options.robot, options.policy)
-    policy_path = options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"
-    with as_bad_input(PolicyError):
-        policy = load_policy(robot, policy_path)
-        require_pace(policy, robot, options.pace)
+    grid = read_grid(options)
+    robot, policy = load_walker(options.robot, options.policy, options.pace)
     _check_outputs(options)
     with ExitStack() as stack:
         if options.view:
@@ -176,7 +133,7 @@ def walk_and_report(options: NavigateOptions) -> int:
         )
         report = navigator.report(
             map=plan.map,
-            policy=PolicyFile.of(policy_path),
+            policy=PolicyFile.of(options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"),
             wall_time_s=time.perf_counter() - started,
         )
         _write(options, navigator, plan, report)

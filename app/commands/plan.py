@@ -8,21 +8,15 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from app.options import (
-    HeuristicName,
-    MapOptions,
+    GoalOptions,
     OptionalFile,
     OptionalTime,
-    PlannerName,
-    Pose,
-    PoseOption,
+    PlanningOptions,
     PosesOption,
-    Reach,
-    ReachOption,
-    RobotName,
+    choice,
     find_robot_with_limits,
     number,
     read_grid,
-    whole_number,
 )
 from app.output import (
     PICTURE_ENDINGS,
@@ -33,37 +27,22 @@ from app.output import (
     say,
     write_text,
 )
-from planner.options import PlannerOptions
+from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import FootstepPlan
 
 FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanOptions(MapOptions):
+class PlanOptions(PlanningOptions, GoalOptions):
     """Plan footsteps from a start to a goal on a map.
 
     The exit code is 0 when a plan is found, 2 when the input is wrong, and 3 when there is no
     plan; then the reason says which foot or what stands in the way.
     """
 
-    goal: PoseOption
-    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
-
-    start: PoseOption = Pose(0.0, 0.0, 0.0)
-    """Where the robot stands at first, such as -1,2,0."""
-
     via: PosesOption = ()
     """Poses to stand at on the way, with colons between, such as 1,0,0:2,0,1.57."""
-
-    goal_tolerance: ReachOption = Reach(0.0, 0.0)
-    """How far from the goal, and how far turned, a cheaper plan may end, such as 0.1,0.2."""
-
-    robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
-
-    policy: OptionalFile = None
-    """Who is to walk it, such as runs/train/jvrc1.safetensors; none: the robot's own policy."""
 
     out: OptionalFile = None
     """Write the plan to this file, such as plan.json."""
@@ -77,23 +56,14 @@ class PlanOptions(MapOptions):
     refine_image: OptionalFile = None
     """Draw the plan before and after refinement into this file, such as refinement.png."""
 
-    planner: PlannerName = PlannerOptions.name
-    """Which planner, such as ara; docs/planners.md tells them apart."""
-
-    heuristic: HeuristicName = PlannerOptions.heuristic
+    heuristic: Annotated[str, choice(*HEURISTICS)] = PlannerOptions.heuristic
     """What the search that proves goes by, such as path; docs/planners.md tells them apart."""
-
-    seed: Annotated[int, whole_number(at_least=0)] = PlannerOptions.seed
-    """Seed of the planners that draw at random, such as 7."""
 
     epsilon: Annotated[float, number(at_least=1.0)] = PlannerOptions.epsilon
     """Weight of the first search, such as 3; later ones go down to 1, the optimum."""
 
     time_limit: OptionalTime = None
     """Seconds after which the best plan so far is taken, such as 0.5."""
-
-    refine: bool = True
-    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
 
     prove: bool = False
     """Go on until the plan is proven to be the cheapest; else only a while past the first plan."""
@@ -164,16 +134,12 @@ def _search(options: PlanOptions) -> PlannerOptions:
     improve = options.time_limit is None and not options.prove
     # Each option is right by itself; some do not go together.
     with as_bad_input(ValueError):
-        return PlannerOptions(
-            name=options.planner,
+        return options.planner_options(
             heuristic=options.heuristic,
             epsilon=options.epsilon,
             improve_expansions=PlannerOptions.improve_expansions if improve else None,
             time_limit_s=options.time_limit,
-            refine=options.refine,
-            unknown_is_free=options.unknown_is_free,
             record=options.search_image is not None,
-            seed=options.seed,
             goal_reach_m=options.goal_tolerance.m,
             goal_reach_rad=options.goal_tolerance.rad,
         )

@@ -9,21 +9,17 @@ from typing import TYPE_CHECKING, Annotated
 
 from app.options import (
     FileOption,
-    MapOptions,
-    OptionalFile,
-    PlannerName,
+    PlanningOptions,
     Pose,
     PoseOption,
-    RobotName,
-    find_robot_with_limits,
+    load_walker,
     read_grid,
     text,
     whole_number,
 )
-from app.output import InputError, ProgressBar, as_bad_input, say
-from controller.policy import Policy, PolicyError, load_policy
+from app.output import InputError, ProgressBar, say
+from controller.policy import Policy
 from maps.grid import OccupancyGrid
-from planner.options import PlannerOptions
 from sim.robot import Robot
 
 if TYPE_CHECKING:
@@ -31,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServeOptions(MapOptions):
+class ServeOptions(PlanningOptions):
     """Open a web page: the map, and the robot that walks where you click.
 
     The page is for this machine alone unless --host says more. Ctrl-C ends it.
@@ -42,21 +38,6 @@ class ServeOptions(MapOptions):
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
     """Where the robot stands at first, such as -1,2,0."""
-
-    robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
-
-    planner: PlannerName = PlannerOptions.name
-    """Which planner at first, such as ara; docs/planners.md tells them apart."""
-
-    refine: bool = True
-    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
-
-    policy: OptionalFile = None
-    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
-
-    seed: Annotated[int, whole_number(at_least=0)] = 0
-    """Seed of everything random, such as 7."""
 
     host: Annotated[str, text("ADDRESS")] = "127.0.0.1"
     """Address to serve at, such as 0.0.0.0 for everybody who can reach this machine."""
@@ -72,25 +53,15 @@ _COMPILES = "which is compiled after a change of its code, for half a minute"
 
 def run(options: ServeOptions) -> int:
     """Carries the command out: serves until Ctrl-C."""
-    from app.viewer.page import load_robot, open_page
+    from app.viewer.page import open_page
 
     grid = read_grid(options)
 
     def load(name: str) -> tuple[Robot, Policy]:
-        if options.policy is None or name != options.robot:
-            return load_robot(name)
-        robot = find_robot_with_limits(name, options.policy)
-        with as_bad_input(PolicyError):
-            return robot, load_policy(robot, options.policy)
+        return load_walker(name, options.policy if name == options.robot else None)
 
     robot, policy = load(options.robot)
     _check_start(options, grid, robot)
-    plan_options = PlannerOptions(
-        name=options.planner,
-        refine=options.refine,
-        unknown_is_free=options.unknown_is_free,
-        seed=options.seed,
-    )
     with open_page(
         grid,
         robot,
@@ -99,7 +70,7 @@ def run(options: ServeOptions) -> int:
         host=options.host,
         port=options.port,
         start=options.start,
-        options=plan_options,
+        options=options.planner_options(),
         seed=options.seed,
         load=load,
     ) as page:

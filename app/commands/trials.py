@@ -16,29 +16,23 @@ from numpy.typing import ArrayLike
 from app.navigation.report import Outcome, Percentiles, installed_versions
 from app.options import (
     FolderOption,
-    MapOptions,
-    OptionalFile,
-    PlannerName,
-    RobotName,
-    choice,
+    PaceOption,
+    PlanningOptions,
     find_robot_with_limits,
+    load_walker,
     number,
     read_grid,
-    require_pace,
     whole_number,
 )
 from app.output import (
     ExitCode,
     InputError,
     ProgressBar,
-    as_bad_input,
     make_folder,
     to_json,
     write_text,
 )
 from app.workers import in_order
-from controller.gait import PACES
-from controller.policy import PolicyError, load_policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import feet_at
@@ -49,7 +43,7 @@ DRAWS_PER_POSE = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialsOptions(MapOptions):
+class TrialsOptions(PlanningOptions):
     """Walk between many random pairs of free poses on a map, and print how it went.
 
     Start and goal are drawn from all poses at which the robot can stand; the same seed gives
@@ -62,23 +56,8 @@ class TrialsOptions(MapOptions):
     apart: Annotated[float, number(at_least=0.0)] = 1.5
     """Least distance in metres between start and goal, such as 1.5."""
 
-    robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
-
-    planner: PlannerName = PlannerOptions.name
-    """Which planner, such as ara; docs/planners.md tells them apart."""
-
-    pace: Annotated[str, choice(*PACES)] = "normal"
+    pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
-
-    refine: bool = True
-    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
-
-    policy: OptionalFile = None
-    """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""
-
-    seed: Annotated[int, whole_number(at_least=0)] = 0
-    """Seed of the pairs and of the walks, such as 7."""
 
     workers: Annotated[int, whole_number(at_least=0)] = 0
     """Processes that walk, such as 2; 0 for all cores."""
@@ -113,17 +92,14 @@ class TrialSettings:
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
-    grid, robot = read_grid(options), find_robot_with_limits(options.robot, options.policy)
-    with as_bad_input(PolicyError):
-        require_pace(load_policy(robot, options.policy), robot, options.pace)
+    grid = read_grid(options)
+    robot, _ = load_walker(options.robot, options.policy, options.pace)
     make_folder(options.out, option="--out")
     settings = TrialSettings(
         grid=grid,
         robot=robot.name,
         policy=options.policy,
-        planner=PlannerOptions(
-            name=options.planner, refine=options.refine, unknown_is_free=options.unknown_is_free
-        ),
+        planner=options.planner_options(),
         pace=options.pace,
     )
     trials = draw_trials(settings, options.count, options.apart, options.seed)
@@ -185,11 +161,11 @@ def walk_one(settings: TrialSettings, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
     from app.navigation.navigator import Navigator, NavigatorConfig
 
-    robot = find_robot_with_limits(settings.robot, settings.policy)
+    robot, policy = load_walker(settings.robot, settings.policy)
     navigator = Navigator(
         settings.grid,
         robot,
-        load_policy(robot, settings.policy),
+        policy,
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
