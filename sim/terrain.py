@@ -97,16 +97,17 @@ class GroundBatch:
                 self._quaternion[row, body] = yaw_quaternion(yaw)
 
 
+_WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
 _LOW_RGB, _HIGH_RGB = np.array([0.83, 0.84, 0.85]), np.array([0.80, 0.70, 0.56])
 
 
 @dataclass(frozen=True, kw_only=True)
-class MapGround:
-    """The ground of a map in a scene.
+class MapBoxes:
+    """Upright boxes of a map: its walls, or ground that is not flat.
 
     `boxes_m` is (n, 5): centre x, centre y, half length x, half length y and height of the upper
-    face in the map's own frame, all higher than the floor at `lowest_m`; `origin` is that frame's
-    pose x_m, y_m, yaw_rad in the world.
+    face in the map's own frame; all reach down to `lowest_m`. `origin` is that frame's pose x_m,
+    y_m, yaw_rad in the world.
     """
 
     boxes_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
@@ -114,46 +115,34 @@ class MapGround:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-def add_ground(spec: mujoco.MjSpec, ground: MapGround) -> None:
-    """Lower the floor and add the boxes, browner with height."""
+def add_ground(spec: mujoco.MjSpec, ground: MapBoxes) -> None:
+    """Lower the floor to the lowest ground and add the boxes, browner with height."""
     spec.geom("floor").pos = [0, 0, ground.lowest_m]
     heights_m = ground.boxes_m[:, 4:] - ground.lowest_m
     share = heights_m / max(heights_m.max(initial=0.0), 1e-9)
     rgb = (1 - share) * _LOW_RGB + share * _HIGH_RGB
-    add_boxes(
-        spec,
-        "ground",
-        ground.boxes_m,
-        lowest_m=ground.lowest_m,
-        origin=ground.origin,
-        rgba=np.column_stack([rgb, np.ones(len(rgb))]),
-        geom_prefix=GROUND_PREFIX,
-    )
+    rgba = np.column_stack([rgb, np.ones(len(rgb))])
+    _add_boxes(spec, "ground", ground, rgba, geom_prefix=GROUND_PREFIX)
 
 
-def add_boxes(
-    spec: mujoco.MjSpec,
-    name: str,
-    boxes_m: np.ndarray,
-    *,
-    lowest_m: float,
-    origin: tuple[float, float, float],
-    rgba: np.ndarray,
-    geom_prefix: str | None = None,
+def add_walls(spec: mujoco.MjSpec, walls: MapBoxes) -> None:
+    """Add all walls in one body named `walls`, which is there also when the map has none."""
+    _add_boxes(spec, "walls", walls, np.tile(_WALL_RGBA, (len(walls.boxes_m), 1)))
+
+
+def _add_boxes(
+    spec: mujoco.MjSpec, name: str, boxes: MapBoxes, rgba: np.ndarray, geom_prefix: str = ""
 ) -> None:
-    """Add static boxes (n, 5), as of `MapGround`, in a body of that name; rgba (n, 4).
-
-    All reach down to `lowest_m`. The body is there also when there are no boxes.
-    """
-    x, y, yaw = origin
+    """Add static boxes in a body of that name; rgba (n, 4)."""
+    x, y, yaw = boxes.origin
     body = spec.worldbody.add_body(name=name, pos=[x, y, 0], quat=yaw_quaternion(yaw))
     contype, conaffinity = SURROUNDINGS_BITS
-    for number, (centre_x, centre_y, half_x, half_y, top) in enumerate(boxes_m):
-        half_z = (top - lowest_m) / 2
+    for number, (centre_x, centre_y, half_x, half_y, top) in enumerate(boxes.boxes_m):
+        half_z = (top - boxes.lowest_m) / 2
         body.add_geom(
             name=f"{geom_prefix}{number}" if geom_prefix else "",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[centre_x, centre_y, lowest_m + half_z],
+            pos=[centre_x, centre_y, boxes.lowest_m + half_z],
             size=[half_x, half_y, half_z],
             contype=contype,
             conaffinity=conaffinity,

@@ -9,8 +9,8 @@ import pytest
 from sim.batch import SimBatch
 from sim.clearance import min_clearance_m
 from sim.robots import get_robot, robot_names
-from sim.scene import WALL_HEIGHT_M, Scene, Walls, build_scene
-from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground
+from sim.scene import WALL_HEIGHT_M, Scene, build_scene
+from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground, MapBoxes
 
 CONTROL_PERIOD_S = 0.025
 
@@ -214,7 +214,9 @@ def test_a_wall_is_felt_and_its_distance_measured(name, gap_m, touches):
     assert reach <= robot.step_model.body.width_m / 2
     wall_y = reach + gap_m + 0.05
     # The wall's own frame is turned and shifted, as a map's may be.
-    walls = Walls(boxes_m=np.array([[wall_y, 0.0, 0.05, 2.0]]), origin=(0.0, 0.0, np.pi / 2))
+    walls = MapBoxes(
+        boxes_m=np.array([[wall_y, 0.0, 0.05, 2.0, WALL_HEIGHT_M]]), origin=(0.0, 0.0, np.pi / 2)
+    )
     scene = build_scene(robot, timestep_s=0.001, walls=walls)
     data = mujoco.MjData(scene.model)
     data.qpos[:] = scene.standing_qpos

@@ -10,12 +10,11 @@ the meshes and the contact points of the model's feet, and the step model.
 from __future__ import annotations
 
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
-from sim.menagerie import MenagerieModel, Shapes
+from sim.menagerie import MenagerieModel
 from sim.robot import GaitTiming, both_legs
-from sim.solids import Box, Rod
+from sim.solids import Box, Rod, Shapes
 
-FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.18, 0.07, 0.02
-SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.035, 0.035
+FOOT = FootShape(length_m=0.18, width_m=0.07)
 
 # name, kp, kd, torque limit, speed limit, armature, half-sitting (deg), mirror sign
 _LEG = (
@@ -43,12 +42,6 @@ _LEG_SHAPES: Shapes = {
     "knee_link": {
         "shank": Rod(ends=((0.01, 0, -0.03), (0, 0, -0.25)), radius=0.037, is_round=True)
     },
-    "ankle_roll_link": {
-        "foot": Box(
-            centre=(SOLE_CENTRE_X_M, 0, SOLE_THICKNESS_M / 2 - ANKLE_HEIGHT_M),
-            size=(FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M),
-        )
-    },
 }
 _ARM_SHAPES: Shapes = {
     "shoulder_yaw_link": {
@@ -75,7 +68,6 @@ STEPS = (
     *((x, 0.24, -0.15) for x in (0.0, 0.10, 0.15)),
 )
 
-
 MODEL = MenagerieModel(
     file="unitree_g1/g1.xml",
     renamed={"left_hip_pitch_link": "left_leg", "right_hip_pitch_link": "right_leg"},
@@ -85,7 +77,8 @@ MODEL = MenagerieModel(
     arm_shapes=_ARM_SHAPES,
     body_shapes=_BODY_SHAPES,
     foot="ankle_roll_link",
-    sole_m=(SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M),
+    sole_m=(0.035, 0, -0.035),
+    sole_size_m=(FOOT.length_m, FOOT.width_m, 0.02),
     head=("torso_link", (0.008, 0, 0.40)),
     colours={"black": (0.16, 0.17, 0.19, 1.0), "metal": (0.82, 0.83, 0.85, 1.0)},
 )
@@ -94,7 +87,7 @@ ROBOT = MODEL.robot(
     name="g1",
     title="Unitree G1",
     step_model=StepModel(
-        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        foot=FOOT,
         body=BodyShape(length_m=0.40, width_m=0.50),
         limits=StepLimits(x_m=(-0.14, 0.24), y_m=(0.19, 0.34), yaw_rad=(-0.2, 0.4)),
         steps=STEPS,

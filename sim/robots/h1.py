@@ -12,12 +12,11 @@ degrees in the step set, and 7 at the corners of the step limits.
 from __future__ import annotations
 
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
-from sim.menagerie import MenagerieModel, Shapes
+from sim.menagerie import MenagerieModel
 from sim.robot import GaitTiming, both_legs
-from sim.solids import Box, Rod
+from sim.solids import Box, Rod, Shapes
 
-FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.22, 0.08, 0.02
-SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.055, 0.07
+FOOT = FootShape(length_m=0.22, width_m=0.08)
 
 # name, kp, kd, torque limit, speed limit, armature, half-sitting (deg), mirror sign
 _LEG = (
@@ -36,12 +35,6 @@ _LEG_SHAPES: Shapes = {
     },
     "knee_link": {
         "shank": Rod(ends=((0, 0, -0.03), (-0.01, 0, -0.33)), radius=0.045, is_round=True)
-    },
-    "ankle_link": {
-        "foot": Box(
-            centre=(SOLE_CENTRE_X_M, 0, SOLE_THICKNESS_M / 2 - ANKLE_HEIGHT_M),
-            size=(FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M),
-        )
     },
 }
 _ARM_SHAPES: Shapes = {
@@ -72,7 +65,6 @@ STEPS = (
     *((x, 0.40, -0.1) for x in (0.0, 0.10, 0.20)),
 )
 
-
 MODEL = MenagerieModel(
     file="unitree_h1/h1.xml",
     renamed={"left_hip_yaw_link": "left_leg", "right_hip_yaw_link": "right_leg"},
@@ -82,7 +74,8 @@ MODEL = MenagerieModel(
     arm_shapes=_ARM_SHAPES,
     body_shapes=_BODY_SHAPES,
     foot="ankle_link",
-    sole_m=(SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M),
+    sole_m=(0.055, 0, -0.07),
+    sole_size_m=(FOOT.length_m, FOOT.width_m, 0.02),
     head=("torso_link", (0.03, 0, 0.66)),
     colours={"black": (0.16, 0.17, 0.19, 1.0), "white": (0.92, 0.92, 0.93, 1.0)},
 )
@@ -91,7 +84,7 @@ ROBOT = MODEL.robot(
     name="h1",
     title="Unitree H1",
     step_model=StepModel(
-        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        foot=FOOT,
         body=BodyShape(length_m=0.36, width_m=0.56),
         limits=StepLimits(x_m=(-0.17, 0.29), y_m=(0.33, 0.46), yaw_rad=(-0.13, 0.27)),
         steps=STEPS,

@@ -30,7 +30,20 @@ from sim.robot import (
     LegJoint,
     Robot,
 )
-from sim.solids import Block, Box, Colour, Rod, Solid, Vector, add_look, add_shape, mirrored
+from sim.solids import (
+    Block,
+    Box,
+    Colour,
+    Rod,
+    Shapes,
+    Solid,
+    Vector,
+    add_look,
+    add_shape,
+    add_shapes,
+    add_sole,
+    mirrored,
+)
 
 if TYPE_CHECKING:
     import mujoco
@@ -38,8 +51,8 @@ if TYPE_CHECKING:
 SIDES = {"left": 1, "right": -1}  # and where y points outward
 
 # WRS: vertices of the sole, in the frame of the ankle; y outward. Thickness ESTIMATED.
-FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.23, 0.13, 0.02
-SOLE_CENTRE_X_M, SOLE_CENTRE_OUTWARD_M, ANKLE_HEIGHT_M = 0.015, 0.010, 0.102
+FOOT = FootShape(length_m=0.23, width_m=0.13)
+SOLE_M = (0.015, 0.010, -0.102)
 
 # Joint, body, torque limit (N m), speed limit (rad/s): PAPER. Armature (kg m2), half-sitting
 # (deg): MJLAB; the angles sum to 0, so the pelvis is upright over flat soles. Range of the left
@@ -98,7 +111,7 @@ _LEG_SHAPES: dict[str, Solid] = {
     "thigh": Rod(ends=((0, 0.085, -0.03), (0, 0.070, -0.36)), radius=0.060, is_round=True),
     "shank": Rod(ends=((0.01, 0.010, -0.03), (0.01, 0.005, -0.31)), radius=0.050, is_round=True),
 }
-_BODY_SHAPES: dict[str, dict[str, Solid]] = {
+_BODY_SHAPES: Shapes = {
     "pelvis": {"hips": Box(centre=(-0.030, 0, 0.10), size=(0.34, 0.31, 0.30))},
     "chest": {
         "waist": Rod(ends=((-0.03, 0, 0.02), (-0.03, 0, 0.12)), radius=0.11, is_round=True),
@@ -250,16 +263,10 @@ def _add_leg(pelvis: mujoco.MjsBody, side: str, outward: int, bits: tuple[int, i
         if body_name in _LEG_SHAPES:
             shape = _LEG_SHAPES[body_name]
             add_shape(body, f"{side}_{body_name}", _of(outward, shape), bits)
-    sole = _to(outward, (SOLE_CENTRE_X_M, SOLE_CENTRE_OUTWARD_M, -ANKLE_HEIGHT_M))
-    box = Box(
-        centre=(sole[0], sole[1], sole[2] + SOLE_THICKNESS_M / 2),
-        size=(FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M),
-    )
-    add_shape(body, f"{side}_foot", box, bits)
-    body.add_site(name=f"{side}_sole", pos=sole)
+    add_sole(body, side, _to(outward, SOLE_M), (FOOT.length_m, FOOT.width_m, 0.02), bits)
 
 
-def _add_upper_body(pelvis: mujoco.MjsBody) -> None:
+def _add_upper_body(spec: mujoco.MjSpec, pelvis: mujoco.MjsBody) -> None:
     """Bodies without joints, which the compiler merges into the pelvis."""
     chest = pelvis.add_body(name="chest", pos=WAIST_M)
     mass_kg, com_in_pelvis, inertia = _UPPER_BODY
@@ -267,9 +274,7 @@ def _add_upper_body(pelvis: mujoco.MjsBody) -> None:
     _set_mass(chest, mass_kg, (x, y, z), inertia)
     head = chest.add_body(name="head_link", pos=HEAD_M)
     head.add_site(name="head", pos=[0, 0, 0.05])
-    for body in (pelvis, chest, head):
-        for name, shape in _BODY_SHAPES[body.name].items():
-            add_shape(body, name, shape, UPPER_BODY_BITS)
+    add_shapes(spec, _BODY_SHAPES, UPPER_BODY_BITS)
     for side, outward in SIDES.items():
         pitch, spread, elbow = np.radians(
             [SHOULDER_PITCH_DEG, outward * SHOULDER_SPREAD_DEG, ELBOW_DEG]
@@ -319,7 +324,7 @@ def build() -> mujoco.MjSpec:
     _set_mass(pelvis, *_PELVIS)
     for (side, outward), bits in zip(SIDES.items(), (LEFT_LEG_BITS, RIGHT_LEG_BITS), strict=True):
         _add_leg(pelvis, side, outward, bits)
-    _add_upper_body(pelvis)
+    _add_upper_body(spec, pelvis)
     return spec
 
 
@@ -342,7 +347,7 @@ ROBOT = Robot(
     name="hrp5p",
     title="HRP-5P",
     step_model=StepModel(
-        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        foot=FOOT,
         body=BodyShape(length_m=0.52, width_m=0.64),
         # Well inside what is trained, as for JVRC-1.
         limits=replace(LIMITS, x_m=(-0.16, 0.31), y_m=(0.18, 0.33), yaw_rad=(-0.16, 0.31)),

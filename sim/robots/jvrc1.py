@@ -16,24 +16,22 @@ import math
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from sim.robot import (
     LEFT_LEG_BITS,
-    PHYSICS_GROUP,
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
     GaitTiming,
     Robot,
     both_legs,
 )
+from sim.solids import Rod, Shapes, Vector, add_shapes, add_sole, fix_joint
 
 if TYPE_CHECKING:
     import mujoco
 
-FOOT_LENGTH_M, FOOT_WIDTH_M, SOLE_THICKNESS_M = 0.20, 0.10, 0.02
-SOLE_CENTRE_X_M, ANKLE_HEIGHT_M = 0.029, 0.10778
+FOOT = FootShape(length_m=0.20, width_m=0.10)
+SOLE_M, SOLE_SIZE_M = (0.029, 0, -0.10778), (FOOT.length_m, FOOT.width_m, 0.02)
 
 # Held posture of the joints that the policy does not move; all others of the upper body at 0.
 ARM_POSE_RAD = {
@@ -55,6 +53,29 @@ _LEG = (
     ("ANKLE_P", 80, 8, 250, 14.18435, 0.1337, -24, 1),
 )
 JOINTS = both_legs(_LEG, named="{side}_{joint}", sides=("L", "R"))
+
+
+def _capsule(first: Vector, second: Vector, radius: float) -> Rod:
+    return Rod(ends=(first, second), radius=radius, is_round=True)
+
+
+# Capsules that cover the meshes of the package to within about a centimetre; sides by prefix.
+_LEG_SHAPES: Shapes = {
+    "HIP_Y_S": {"thigh": _capsule((0.01, 0, -0.10), (0, 0, -0.35), 0.055)},
+    "KNEE_S": {"shank": _capsule((0.03, 0, -0.03), (0.04, 0, -0.32), 0.053)},
+}
+_ARM_SHAPES: Shapes = {
+    "SHOULDER_Y_S": {"upper_arm": _capsule((-0.01, 0, -0.05), (0, 0, -0.29), 0.045)},
+    "ELBOW_P_S": {"forearm": _capsule((-0.01, 0, -0.03), (0, 0, -0.40), 0.042)},
+}
+_BODY_SHAPES: Shapes = {
+    "pelvis": {"hips": _capsule((0, -0.04, 0.04), (0, 0.04, 0.04), 0.11)},
+    "WAIST_R_S": {
+        "chest": _capsule((0.01, -0.07, 0.16), (0.01, 0.07, 0.16), 0.11),
+        "shoulders": _capsule((0, -0.24, 0.33), (0, 0.24, 0.33), 0.06),
+    },
+    "NECK_P_S": {"head": _capsule((0.01, 0, 0.05), (0.01, 0, 0.11), 0.10)},
+}
 
 # Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
 STEPS = (
@@ -78,74 +99,6 @@ def _urdf_without_meshes() -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def _hold(joint: mujoco.MjsJoint, angle_rad: float) -> None:
-    """Turn the joint's body to the angle, so that the joint can be deleted."""
-    import mujoco
-
-    turn, held = np.empty(4), np.empty(4)
-    mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle_rad)
-    mujoco.mju_mulQuat(held, np.asarray(joint.parent.quat, float), turn)
-    joint.parent.quat = held
-
-
-def _capsule(
-    body: mujoco.MjsBody,
-    name: str,
-    ends_m: tuple[tuple[float, float, float], tuple[float, float, float]],
-    radius_m: float,
-    bits: tuple[int, int],
-) -> None:
-    """Add a massless capsule between two points of the body's frame."""
-    import mujoco
-
-    body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        fromto=[*ends_m[0], *ends_m[1]],
-        size=[radius_m, 0, 0],
-        group=PHYSICS_GROUP,
-        contype=bits[0],
-        conaffinity=bits[1],
-        mass=0,
-    )
-
-
-def _add_leg_shapes(spec: mujoco.MjSpec, side: str, prefix: str, bits: tuple[int, int]) -> None:
-    import mujoco
-
-    spec.body(f"{prefix}_HIP_P_S").name = f"{side}_leg"
-    thigh, shank = spec.body(f"{prefix}_HIP_Y_S"), spec.body(f"{prefix}_KNEE_S")
-    foot = spec.body(f"{prefix}_ANKLE_P_S")
-    _capsule(thigh, f"{side}_thigh", ((0.01, 0, -0.10), (0, 0, -0.35)), 0.055, bits)
-    _capsule(shank, f"{side}_shank", ((0.03, 0, -0.03), (0.04, 0, -0.32)), 0.053, bits)
-    foot.add_geom(
-        name=f"{side}_foot",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[SOLE_CENTRE_X_M, 0, SOLE_THICKNESS_M / 2 - ANKLE_HEIGHT_M],
-        size=[FOOT_LENGTH_M / 2, FOOT_WIDTH_M / 2, SOLE_THICKNESS_M / 2],
-        group=PHYSICS_GROUP,
-        contype=bits[0],
-        conaffinity=bits[1],
-        mass=0,
-    )
-    foot.add_site(name=f"{side}_sole", pos=[SOLE_CENTRE_X_M, 0, -ANKLE_HEIGHT_M])
-
-
-def _add_upper_body_shapes(spec: mujoco.MjSpec) -> None:
-    """Capsules that cover the meshes of the package to within about a centimetre."""
-    bits = UPPER_BODY_BITS
-    pelvis, chest, head = spec.body("pelvis"), spec.body("WAIST_R_S"), spec.body("NECK_P_S")
-    _capsule(pelvis, "hips", ((0, -0.04, 0.04), (0, 0.04, 0.04)), 0.11, bits)
-    _capsule(chest, "chest", ((0.01, -0.07, 0.16), (0.01, 0.07, 0.16)), 0.11, bits)
-    _capsule(chest, "shoulders", ((0, -0.24, 0.33), (0, 0.24, 0.33)), 0.06, bits)
-    _capsule(head, "head", ((0.01, 0, 0.05), (0.01, 0, 0.11)), 0.10, bits)
-    head.add_site(name="head", pos=[0.01, 0, 0.11])
-    for side, prefix in (("left", "L"), ("right", "R")):
-        upper, fore = spec.body(f"{prefix}_SHOULDER_Y_S"), spec.body(f"{prefix}_ELBOW_P_S")
-        _capsule(upper, f"{side}_upper_arm", ((-0.01, 0, -0.05), (0, 0, -0.29)), 0.045, bits)
-        _capsule(fore, f"{side}_forearm", ((-0.01, 0, -0.03), (0, 0, -0.40)), 0.042, bits)
-
-
 def build() -> mujoco.MjSpec:
     """The model: bodies and joints from the URDF, collision shapes of our own."""
     import mujoco
@@ -161,13 +114,17 @@ def build() -> mujoco.MjSpec:
         spec.delete(equality)
     legs = {joint.name for joint in JOINTS}
     for joint in list(spec.joints):
-        if joint.name in legs or joint.type == mujoco.mjtJoint.mjJNT_FREE:
-            continue
-        _hold(joint, ARM_POSE_RAD.get(joint.name, 0.0))
-        spec.delete(joint)
-    for side, prefix, bits in (("left", "L", LEFT_LEG_BITS), ("right", "R", RIGHT_LEG_BITS)):
-        _add_leg_shapes(spec, side, prefix, bits)
-    _add_upper_body_shapes(spec)
+        if joint.name not in legs and joint.type != mujoco.mjtJoint.mjJNT_FREE:
+            fix_joint(spec, joint, ARM_POSE_RAD.get(joint.name, 0.0))
+    sides = (("left", "L_", LEFT_LEG_BITS), ("right", "R_", RIGHT_LEG_BITS))
+    for side, prefix, bits in sides:
+        spec.body(f"{prefix}HIP_P_S").name = f"{side}_leg"
+        add_shapes(spec, _LEG_SHAPES, bits, body=prefix, name=f"{side}_")
+        add_sole(spec.body(f"{prefix}ANKLE_P_S"), side, SOLE_M, SOLE_SIZE_M, bits)
+    add_shapes(spec, _BODY_SHAPES, UPPER_BODY_BITS)
+    for side, prefix, _ in sides:
+        add_shapes(spec, _ARM_SHAPES, UPPER_BODY_BITS, body=prefix, name=f"{side}_")
+    spec.body("NECK_P_S").add_site(name="head", pos=[0.01, 0, 0.11])
     return spec
 
 
@@ -198,7 +155,7 @@ ROBOT = Robot(
     name="jvrc1",
     title="JVRC-1",
     step_model=StepModel(
-        foot=FootShape(length_m=FOOT_LENGTH_M, width_m=FOOT_WIDTH_M),
+        foot=FOOT,
         body=BodyShape(length_m=0.40, width_m=0.62),
         # Of 1200 walks that began near the corners of these limits and went on turning as the
         # lattice does, the shipped policy fell in none; from the corners of the training limits
