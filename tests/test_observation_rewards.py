@@ -23,7 +23,7 @@ from controller.step_sequences import draw_sequence
 from controller.walker import Walker
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
-from tests.test_sim import mirrored_qpos, mirrored_qvel
+from tests.scenes import mirrored_qpos, mirrored_qvel
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:

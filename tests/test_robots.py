@@ -14,7 +14,7 @@ from sim.robot import PHYSICS_GROUP
 from sim.robots import get_robot, robot_names
 from sim.scene import Scene, build_scene
 from sim.sensors import SIDES
-from tests.test_sim import reach_m
+from tests.scenes import reach_m
 
 # By how much the legs must stay off their joints' ends in every step that is planned.
 SPARE_RAD = np.radians(2.0)

@@ -11,26 +11,9 @@ from sim.clearance import min_clearance_m
 from sim.robots import get_robot, robot_names
 from sim.scene import WALL_HEIGHT_M, Scene, build_scene
 from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground, MapBoxes
+from tests.scenes import mirrored_qpos, mirrored_qvel, reach_m, standing
 
 CONTROL_PERIOD_S = 0.025
-
-
-def mirrored_qpos(scene: Scene, qpos: np.ndarray) -> np.ndarray:
-    """The state seen in a mirror that lies in the plane y = 0."""
-    index, sign = scene.robot.mirror_joints
-    mirrored = qpos.copy()
-    mirrored[1] *= -1
-    mirrored[[4, 6]] *= -1
-    mirrored[scene.joint_qpos] = sign * qpos[scene.joint_qpos][index]
-    return mirrored
-
-
-def mirrored_qvel(scene: Scene, qvel: np.ndarray) -> np.ndarray:
-    index, sign = scene.robot.mirror_joints
-    mirrored = qvel.copy()
-    mirrored[[1, 3, 5]] *= -1
-    mirrored[scene.joint_qvel] = sign * qvel[scene.joint_qvel][index]
-    return mirrored
 
 
 @pytest.fixture(scope="module", params=robot_names())
@@ -55,9 +38,7 @@ def test_half_sitting_stands_flat_and_at_its_height(scene):
     assert soles.mean(axis=0)[:2] == pytest.approx(0.0, abs=1e-9)
     assert soles[0, 1] == pytest.approx(-soles[1, 1])
     assert scene.standing_qpos[2] == pytest.approx(scene.robot.pelvis_height_m, abs=2e-3)
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    mujoco.mj_kinematics(scene.model, data)
+    data = standing(scene)
     for side in ("left", "right"):
         up = data.site(f"{side}_sole").xmat.reshape(3, 3)[:, 2]
         assert up == pytest.approx([0, 0, 1], abs=2e-3)
@@ -70,10 +51,7 @@ def test_half_sitting_lies_within_the_joint_ranges(scene):
 
 
 def test_nothing_touches_in_half_sitting_but_the_soles_the_floor(scene):
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    data.qpos[2] -= 0.001
-    mujoco.mj_forward(scene.model, data)
+    data = standing(scene, sunk_m=0.001)
     names = {
         frozenset(scene.model.geom(geom).name for geom in contact.geom) for contact in data.contact
     }
@@ -89,23 +67,9 @@ def test_planner_foot_is_the_sole_box_and_the_site_its_centre(scene):
         assert site.pos[2] == pytest.approx(geom.pos[2] - geom.size[2])
 
 
-def reach_m(scene: Scene, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Half extents (3,) along the world's axes of a collision shape about its centre."""
-    turn, size = np.abs(data.geom_xmat[geom].reshape(3, 3)), scene.model.geom_size[geom]
-    kind = mujoco.mjtGeom(scene.model.geom_type[geom])
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return turn @ size
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return np.full(3, size[0])
-    assert kind == mujoco.mjtGeom.mjGEOM_CAPSULE, f"{scene.model.geom(geom).name} is a {kind.name}"
-    return turn[:, 2] * size[1] + size[0]
-
-
 def test_planner_body_box_holds_the_upper_body(scene):
     """In half-sitting every collision shape but legs and feet lies inside the box."""
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    mujoco.mj_kinematics(scene.model, data)
+    data = standing(scene)
     body = scene.robot.step_model.body
     looked_at = 0
     for geom in range(scene.model.ngeom):
@@ -177,8 +141,7 @@ def test_sensors_agree_with_what_mujoco_computes(scene):
 
 
 def test_servo_torque_is_the_pd_law_clipped_at_the_limit(scene):
-    robot, data = scene.robot, mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
+    robot, data = scene.robot, standing(scene)
     data.qvel[scene.joint_qvel] = 0.5
     data.ctrl[:] = robot.half_sitting_rad + 0.1
     mujoco.mj_forward(scene.model, data)
@@ -190,9 +153,7 @@ def test_servo_torque_is_the_pd_law_clipped_at_the_limit(scene):
 
 
 def test_legs_that_cross_are_felt(scene):
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    mujoco.mj_kinematics(scene.model, data)
+    data = standing(scene)
     half = len(scene.robot.joints) // 2
     rolls = 0
     for k, joint in enumerate(scene.robot.joints):
@@ -218,9 +179,7 @@ def test_a_wall_is_felt_and_its_distance_measured(name, gap_m, touches):
         boxes_m=np.array([[wall_y, 0.0, 0.05, 2.0, WALL_HEIGHT_M]]), origin=(0.0, 0.0, np.pi / 2)
     )
     scene = build_scene(robot, timestep_s=0.001, walls=walls)
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    mujoco.mj_forward(scene.model, data)
+    data = standing(scene)
     assert (data.sensordata[scene.sensors.wall_contacts[0]] > 0) == touches
     measured = min_clearance_m(scene, scene.standing_qpos[None])
     assert measured == pytest.approx(gap_m, abs=2e-3)
@@ -228,9 +187,7 @@ def test_a_wall_is_felt_and_its_distance_measured(name, gap_m, touches):
 
 def _widest(scene: Scene) -> float:
     """Largest y of any collision shape whose widest point is below the walls' height."""
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    mujoco.mj_kinematics(scene.model, data)
+    data = standing(scene)
     robot = scene.model.geom_conaffinity > 0
     return max(
         data.geom_xpos[geom, 1] + reach_m(scene, data, int(geom))[1]
