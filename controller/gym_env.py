@@ -64,7 +64,7 @@ def validated_action(action: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
 
 
 class GymTask(WalkTask):
-    """The walking task that also keeps the last states of episodes.
+    """The walking task of an environment, which also keeps the last states of episodes.
 
     A `WalkTask` starts the next episode within the step that ends one; `last_observation` (B, N)
     and `last_render_state` are from before that.
@@ -73,14 +73,61 @@ class GymTask(WalkTask):
     last_observation: np.ndarray
     last_render_state: RenderState
 
+    def __init__(
+        self,
+        robot: str,
+        *,
+        count: int = 1,
+        mode: str | None = None,
+        render_mode: str | None = None,
+        **settings: Any,
+    ):
+        """Set `count` robots up; other settings are those of `WalkTask`.
+
+        Raises:
+            ValueError: unknown robot, mode or render mode, or a count below 1.
+            NoGlError: render_mode is set and no GL library works here.
+        """
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
+        modes = (*MODES, *STAIR_MODES, "standing")
+        if mode is not None and mode not in modes:
+            raise ValueError(f"mode {mode!r}: choose one of {', '.join(modes)}, or None for a mix")
+        if count < 1:
+            raise ValueError(f"num_envs {count} must be at least 1")
+        super().__init__(get_robot(robot), count=count, seed=0, mode=mode, **settings)
+        self._renderer = SceneRenderer(self.walker.scene) if render_mode else None
+
     def reset(self, rows: np.ndarray) -> None:
         """Keep the last states of the episodes of the robots `rows`, and start new ones."""
         if len(rows):
-            self.last_observation, self.last_render_state = self.observe(), self.moment()
+            self.last_observation, self.last_render_state = self.observe(), self._render_state()
         super().reset(rows)
 
-    def moment(self) -> RenderState:
-        """The present state of all robots for drawing."""
+    def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> np.ndarray:
+        """Start new episodes for all robots; gives their observations (B, N).
+
+        Raises:
+            ValueError: there are options; none is known.
+        """
+        if options:
+            raise ValueError(f"reset takes no options here, but got {', '.join(options)}")
+        self.restart(int(rng.integers(2**63)))
+        return clip_to_space(self.observe())
+
+    def pictures(self, *, ended: bool = False) -> tuple[np.ndarray, ...]:
+        """Images (480, 640, 3) of all robots, now or when episodes last ended; none undrawn."""
+        if self._renderer is None:
+            return ()
+        state = self.last_render_state if ended else self._render_state()
+        return tuple(self._renderer.draw(state, row) for row in range(len(state.qpos)))
+
+    def close(self) -> None:
+        """Free the renderer."""
+        if self._renderer is not None:
+            self._renderer.close()
+
+    def _render_state(self) -> RenderState:
         cursor = self.walker.cursor
         return RenderState(
             qpos=self.walker.sim.qpos.copy(),
@@ -88,45 +135,6 @@ class GymTask(WalkTask):
             side=cursor.side,
             ground=self.walker.sim.ground_pose,
         )
-
-
-def make_task(
-    robot: str,
-    *,
-    count: int,
-    threads: int = 1,
-    mode: str | None,
-    config: TaskConfig | None,
-    stage: Stage | None,
-    render_mode: str | None,
-) -> GymTask:
-    """The task of an environment.
-
-    Raises:
-        ValueError: unknown robot, mode or render mode, or a count below 1.
-    """
-    if render_mode not in (None, "rgb_array"):
-        raise ValueError(f"render_mode {render_mode!r}: choose 'rgb_array' or None")
-    modes = (*MODES, *STAIR_MODES, "standing")
-    if mode is not None and mode not in modes:
-        raise ValueError(f"mode {mode!r}: choose one of {', '.join(modes)}, or None for a mix")
-    if count < 1:
-        raise ValueError(f"num_envs {count} must be at least 1")
-    return GymTask(
-        get_robot(robot),
-        count=count,
-        seed=0,
-        threads=threads,
-        mode=mode,
-        config=config,
-        stage=stage,
-    )
-
-
-def require_no_options(options: dict[str, object] | None) -> None:
-    """Raises ValueError for options, as there are none."""
-    if options:
-        raise ValueError(f"reset takes no options here, but got {', '.join(options)}")
 
 
 def environment_id(robot: str) -> str:
@@ -164,13 +172,10 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             ValueError: unknown robot, mode or render mode.
             NoGlError: render_mode is set and no GL library works here.
         """
-        self._task = make_task(
-            robot, count=1, mode=mode, config=config, stage=stage, render_mode=render_mode
-        )
+        self._task = GymTask(robot, mode=mode, config=config, stage=stage, render_mode=render_mode)
         self.render_mode = render_mode
         self.observation_space = observation_space(self._task.robot)
         self.action_space = action_space(self._task.robot)
-        self._renderer = SceneRenderer(self._task.walker.scene) if render_mode else None
         self._ended = False
 
     def reset(
@@ -178,10 +183,8 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start a new episode; the same seed gives the same episodes."""
         super().reset(seed=seed)
-        require_no_options(options)
-        self._task.restart(int(self.np_random.integers(2**63)))
         self._ended = False
-        return clip_to_space(self._task.observe())[0], {}
+        return self._task.begin(self.np_random, options)[0], {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Act for one control step; the last observation is of the episode that ended."""
@@ -202,15 +205,12 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
     def render(self) -> np.ndarray | None:
         """Image (480, 640, 3) of the robot and its next two steps; None without render_mode."""
-        if self._renderer is None:
-            return None
-        moment = self._task.last_render_state if self._ended else self._task.moment()
-        return self._renderer.draw(moment, 0)
+        pictures = self._task.pictures(ended=self._ended)
+        return pictures[0] if pictures else None
 
     def close(self) -> None:
         """Free the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
+        self._task.close()
 
 
 def register() -> None:
@@ -259,7 +259,7 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
             ValueError: unknown robot, mode or render mode, or num_envs below 1.
             NoGlError: render_mode is set and no GL library works here.
         """
-        self._task = make_task(
+        self._task = GymTask(
             robot,
             count=num_envs,
             threads=threads,
@@ -274,16 +274,13 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         self.single_action_space = action_space(self._task.robot)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._renderer = SceneRenderer(self._task.walker.scene) if render_mode else None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start new episodes for all robots from one seed; threads do not change the result."""
         super().reset(seed=seed)
-        require_no_options(options)
-        self._task.restart(int(self.np_random.integers(2**63)))
-        return clip_to_space(self._task.observe()), {}
+        return self._task.begin(self.np_random, options), {}
 
     def step(
         self, actions: np.ndarray
@@ -304,15 +301,11 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Images (480, 640, 3) of all robots; None without render_mode."""
-        if self._renderer is None:
-            return None
-        now = self._task.moment()
-        return tuple(self._renderer.draw(now, row) for row in range(self.num_envs))
+        return self._task.pictures() or None
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""
-        if self._renderer is not None:
-            self._renderer.close()
+        self._task.close()
 
 
 def _infos(step: Transition, rows: np.ndarray) -> dict[str, np.ndarray]:

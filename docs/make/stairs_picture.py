@@ -18,8 +18,8 @@ from app.output import write_picture
 from app.pictures.film import tile
 from controller.curriculum import Stage
 from controller.env import TaskConfig
-from controller.gym_env import make_task
-from controller.gym_render import HEIGHT, WIDTH, SceneRenderer
+from controller.gym_env import GymTask
+from controller.gym_render import HEIGHT, WIDTH
 from controller.policy import Policy, load_policy
 from sim.robots import get_robot
 
@@ -48,21 +48,19 @@ def main() -> None:
 
 def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> list[np.ndarray]:
     """Moments of one walk, evenly spread, each (HEIGHT / 2, WIDTH / 2, 3), red green blue."""
-    task = make_task(
+    task = GymTask(
         robot,
-        count=1,
         mode=mode,
         config=TaskConfig(exact_rise=True, episode_ticks=SHOWN_TICKS + 2),
         stage=Stage(rise_m=rise_m),
         render_mode="rgb_array",
     )
     task.restart(np.random.SeedSequence([20_000 + seed]))
-    renderer = SceneRenderer(task.walker.scene)
     shown = set(np.linspace(60, SHOWN_TICKS, MOMENTS).astype(int))
     pictures, observation = [], task.observe()
     for tick in range(SHOWN_TICKS + 1):
         if tick in shown:
-            picture = renderer.draw(task.moment(), 0)
+            picture = task.pictures()[0]
             # Half size, as the renderer does not smooth edges.
             pictures.append(
                 cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), None, 0, 0, cv2.INTER_AREA)
@@ -71,7 +69,7 @@ def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> 
         if step.terminated.any():
             raise RuntimeError(f"the robot fell at tick {tick} of {mode}, seed {seed}")
         observation = step.observation
-    renderer.close()
+    task.close()
     return pictures
 
 
