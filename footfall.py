@@ -190,9 +190,10 @@ def draw(path: str | Path, grid: OccupancyGrid, robot: Robot, plan: FootstepPlan
     Raises:
         app.output.InputError: The file cannot be written.
     """
-    from app.pictures.plan_pictures import write_path_picture
+    from app.output import write_picture
+    from app.pictures.plan_pictures import plan_picture
 
-    write_path_picture(Path(path), grid, robot.step_model, plan)
+    write_picture(Path(path), plan_picture(grid, robot.step_model, plan))
 
 
 def make_env(robot: str = "jvrc1", *, num_envs: int | None = None, **options: Any) -> Any:

@@ -33,6 +33,7 @@ from app.output import (
     make_folder,
     require_writable,
     say,
+    write_picture,
     write_text,
 )
 from controller.gait import CONTROL_PERIOD_S
@@ -198,12 +199,11 @@ def _check_outputs(options: NavigateOptions) -> None:
 def _write(
     options: NavigateOptions, navigator: Navigator, plan: FootstepPlan, report: NavigationReport
 ) -> None:
-    from app.pictures.plan_pictures import write_path_picture
+    from app.pictures.plan_pictures import walk_picture
 
     write_text(options.out / "report.json", report.to_json())
     write_text(options.out / "plan.json", plan.to_json() + "\n")
-    write_path_picture(
-        options.out / "path.png",
+    picture = walk_picture(
         navigator.grid,
         navigator.robot.step_model,
         plan,
@@ -211,6 +211,7 @@ def _write(
         placed_world=np.array([p.placed_world for p in navigator.placed]).reshape(-1, 4),
         body_xy_world=np.array(navigator.qpos)[:, :2],
     )
+    write_picture(options.out / "path.png", picture)
 
 
 def _draw(

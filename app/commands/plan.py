@@ -25,6 +25,7 @@ from app.output import (
     as_bad_input,
     require_writable,
     say,
+    write_picture,
     write_text,
 )
 from planner.options import HEURISTICS, PlannerOptions
@@ -89,21 +90,22 @@ def run(options: PlanOptions) -> int:
     if options.out is not None:
         write_text(options.out, text)
     if options.image is not None:
-        from app.pictures.plan_pictures import write_path_picture
+        from app.pictures.plan_pictures import plan_picture
 
-        write_path_picture(options.image, grid, robot.step_model, plan)
+        write_picture(options.image, plan_picture(grid, robot.step_model, plan))
     if options.search_image is not None and planner.record is not None:
         from app.pictures.plan_pictures import write_search_picture
 
         cell_m = robot.step_model.cell_m
         write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
     if options.refine_image is not None and plan.found:
-        from app.pictures.plan_pictures import write_refinement_picture
+        from app.pictures.plan_pictures import refinement_picture
 
         unrefined = dataclasses.replace(planner.options, refine=False)
         searched = Planner(grid, robot.step_model, unrefined)
         before = plan_through(searched, start=options.start, poses=[*options.via, options.goal])
-        write_refinement_picture(options.refine_image, grid, robot.step_model, before, plan)
+        picture = refinement_picture(grid, robot.step_model, before, plan)
+        write_picture(options.refine_image, picture)
     if options.json:
         print(text, end="")
     elif plan.expansions or plan.found:

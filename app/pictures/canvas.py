@@ -180,6 +180,13 @@ class Canvas:
         x_m, y_m, _, yaw_rad = np.asarray(pose_world, dtype=float)
         self._fill(_placed(toe, x_m, y_m, yaw_rad), colour)
 
+    def feet(self, plan: FootstepPlan, model: StepModel, opacity: float) -> None:
+        """The soles of a plan, those at its start pale."""
+        for side in Side:
+            self.foot(plan.start_feet_world[side], side, model, 0.12)
+        for number, pose in zip(plan.side, plan.pose_world, strict=True):
+            self.foot(pose, Side(int(number)), model, opacity)
+
     def arrow(self, pose_world: ArrayLike, colour: Colour, label: str) -> None:
         """A pose x_m, y_m, yaw_rad as an arrow from its point along its heading."""
         x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose_world, dtype=float))
@@ -223,6 +230,12 @@ def sole_corners(pose_world: ArrayLike, foot: FootShape) -> FloatArray:
     return _placed(corners * (foot.length_m, foot.width_m), x_m, y_m, yaw_rad)
 
 
+def put_text(picture: Picture, text: str, left_px: int, base_px: int) -> None:
+    """Writes dark text on light ground."""
+    place = (left_px, base_px)
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+
+
 def body_path(plan: FootstepPlan) -> FloatArray:
     """Pair poses (N + 1, 3) from the start to the end of a plan."""
     feet = np.array(plan.start_feet_world)
@@ -253,10 +266,7 @@ def draw_plan(
     canvas = Canvas(grid, around_world=on_map if crop and len(on_map) else None, margin_m=margin_m)
     if plan.found:
         canvas.line(body_path(plan)[:, :2], PATH, 0.02)
-    for side in Side:
-        canvas.foot(plan.start_feet_world[side], side, model, 0.12)
-    for side, pose in zip(plan.side, plan.pose_world, strict=True):
-        canvas.foot(pose, Side(int(side)), model, 0.35)
+    canvas.feet(plan, model, 0.35)
     if not plan.found:
         for side, pose in zip(Side, feet_at(plan.goal, model.stance_width_m), strict=True):
             canvas.foot(pose, side, model, 0.12)

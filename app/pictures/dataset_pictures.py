@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from app.output import write_picture
 from app.pictures.canvas import (
     GOAL,
-    INK,
     LEFT,
     PAPER,
     PATH,
@@ -23,6 +22,7 @@ from app.pictures.canvas import (
     FloatArray,
     Picture,
     body_path,
+    put_text,
 )
 from app.pictures.plan_pictures import Swatch, with_legend
 from maps.grid import OccupancyGrid
@@ -88,17 +88,13 @@ def _tile(
     canvas.arrow(plan.start, START, "")
     canvas.arrow(plan.goal, GOAL, "")
     canvas.line(body_path(plan)[:, :2], PATH, 0.02)
-    for side in Side:
-        canvas.foot(plan.start_feet_world[side], side, model, 0.12)
-    for side, pose in zip(plan.side, plan.pose_world, strict=True):
-        canvas.foot(pose, Side(int(side)), model, 0.5)
+    canvas.feet(plan, model, 0.5)
     scale = _TILE_PX / max(canvas.image.shape[:2])
     size = tuple(max(1, round(v * scale)) for v in canvas.image.shape[1::-1])
     image = cv2.resize(canvas.image, size, interpolation=cv2.INTER_AREA)
     tile: Picture = np.full((_CAPTION_PX + image.shape[0], _TILE_PX, 3), PAPER, np.uint8)
     tile[_CAPTION_PX:, : image.shape[1]] = image
-    text = f"{caption}{len(plan)} steps, cost {plan.cost_m:.2f} m"
-    cv2.putText(tile, text, (2, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+    put_text(tile, f"{caption}{len(plan)} steps, cost {plan.cost_m:.2f} m", 2, 18)
     return tile
 
 

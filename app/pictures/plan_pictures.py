@@ -14,11 +14,10 @@ from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from app.output import replacing, write_picture
+from app.output import replacing
 from app.pictures.canvas import (
     BODY,
     GOAL,
-    INK,
     LEFT,
     PAPER,
     PATH,
@@ -32,6 +31,7 @@ from app.pictures.canvas import (
     draw_plan,
     height_colour,
     height_range,
+    put_text,
     sole_corners,
 )
 from maps.grid import OccupancyGrid
@@ -74,7 +74,7 @@ def with_legend(picture: Picture, title: str, legend: Sequence[Swatch]) -> Pictu
     whole = np.full((height_px + band_px, width_px, 3), PAPER, np.uint8)
     whole[:height_px, : picture.shape[1]] = picture
     for number, line in enumerate(lines):
-        _write(whole, line, 12, height_px + (number + 1) * LINE_HEIGHT_PX - 4)
+        put_text(whole, line, 12, height_px + (number + 1) * LINE_HEIGHT_PX - 4)
     for number, row in enumerate(rows, start=len(lines)):
         for left_px, swatch in row:
             _draw_swatch(whole, swatch, left_px, height_px + number * LINE_HEIGHT_PX + 7)
@@ -100,44 +100,7 @@ def _draw_swatch(picture: Picture, swatch: Swatch, left_px: int, top_px: int) ->
     cv2.rectangle(picture, *corners, swatch.colour, -1 if swatch.filled else 2, cv2.LINE_AA)
     if swatch.filled and min(swatch.colour) > _PALE:
         cv2.rectangle(picture, *corners, _OUTLINE, 1, cv2.LINE_AA)
-    _write(picture, swatch.text, left_px + 30, top_px + 12)
-
-
-def _write(picture: Picture, text: str, left_px: int, base_px: int) -> None:
-    place = (left_px, base_px)
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
-
-
-def write_path_picture(
-    path: Path,
-    grid: OccupancyGrid,
-    model: StepModel,
-    plan: FootstepPlan,
-    *,
-    placed_side: NDArray[np.integer] | None = None,
-    placed_world: FloatArray | None = None,
-    body_xy_world: FloatArray | None = None,
-) -> None:
-    """Draws a plan and, if it was walked, what became of it, into an image file.
-
-    placed_side (N,) and placed_world (N, 4): the feet as they came down, in order.
-    body_xy_world (T, 2): where the body was. Without placed_world the picture shows the plan alone.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
-    if placed_side is None or placed_world is None or body_xy_world is None:
-        picture = plan_picture(grid, model, plan)
-    else:
-        picture = walk_picture(
-            grid,
-            model,
-            plan,
-            placed_side=placed_side,
-            placed_world=placed_world,
-            body_xy_world=body_xy_world,
-        )
-    write_picture(path, picture)
+    put_text(picture, swatch.text, left_px + 30, top_px + 12)
 
 
 def plan_picture(grid: OccupancyGrid, model: StepModel, plan: FootstepPlan) -> Picture:
@@ -154,7 +117,11 @@ def walk_picture(
     placed_world: FloatArray,
     body_xy_world: FloatArray,
 ) -> Picture:
-    """The plan and what became of it, (H, W, 3); arrays as in `write_path_picture`."""
+    """The plan and what became of it, (H, W, 3).
+
+    placed_side (N,) and placed_world (N, 4): the feet as they came down, in order. body_xy_world
+    (T, 2): where the body was.
+    """
     canvas = Canvas(grid, around_world=_surroundings(grid, plan, body_xy_world), margin_m=1.5)
     for side in Side:
         canvas.foot(plan.start_feet_world[side], side, model, 0.12)
@@ -255,17 +222,6 @@ def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
     axes.grid(alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="lower right")
-
-
-def write_refinement_picture(
-    path: Path, grid: OccupancyGrid, model: StepModel, before: FootstepPlan, after: FootstepPlan
-) -> None:
-    """Draws the plan of the search on the left and what refinement made of it on the right.
-
-    Raises:
-        InputError: The file cannot be written.
-    """
-    write_picture(path, refinement_picture(grid, model, before, after))
 
 
 def refinement_picture(
