@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from app.evaluation.parts import Document, pair, table
+from app.evaluation.parts import Document, pair, paragraphs, table
 from app.output import InputError
 
 # What of the other policy's evaluation is shown; the rest stays in its own report.
@@ -58,22 +58,16 @@ def compared(document: Document) -> list[str]:
         *("foot error, this, median / p95", "foot error, other"),
         *("heading, this, median / p95", "heading, other"),
     )
-    lines = [
-        "## Beside another policy",
-        "",
-        f"The other is {other['policy_sha256'][:12]}, evaluated with seed {other['seed']}.",
-        "",
-        f"- This: {_made(document)}.",
-        f"- Other: {_made(other)}.",
-        "",
-        *table(titles, rows),
-        "",
-        "![Both policies, mode by mode](beside.png)",
-    ]
     stairs = _plain_stairs(document, other)
-    if stairs:
-        lines += ["", *table(("stairs", "success, this", "success, other"), stairs)]
-    return lines
+    titles_stairs = ("stairs", "success, this", "success, other")
+    return paragraphs(
+        "## Beside another policy",
+        f"The other is {other['policy_sha256'][:12]}, evaluated with seed {other['seed']}.",
+        [f"- This: {_made(document)}.", f"- Other: {_made(other)}."],
+        table(titles, rows),
+        "![Both policies, mode by mode](beside.png)",
+        *([table(titles_stairs, stairs)] if stairs else []),
+    )
 
 
 def both_rows(document: Document) -> Iterator[tuple[Document, Document]]:

@@ -49,9 +49,7 @@ def limits_parts(setup: EvaluationSetup) -> list[Part]:
     each, planned = setup.share(40), min(setup.share(8), 125)
 
     def measure_map(results: Results) -> dict[str, Any]:
-        cells = step_map(
-            robot, setup.policy, kinds, count=each, seed=setup.seed, threads=setup.threads
-        )
+        cells = step_map(robot, setup.policy, kinds, **setup.draws(each))
         return {"walks_each": each, "kinds": cells}
 
     def measure_region(results: Results) -> dict[str, Any]:
@@ -105,9 +103,7 @@ def _walk_within(setup: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks,
         setup.policy,
         limits,
         lambda steps: allowed(steps, model),
-        count=setup.episodes,
-        seed=setup.seed,
-        threads=setup.threads,
+        **setup.draws(setup.episodes),
         falls_at_most=math.floor((1 - SUCCESS) * setup.episodes + 1e-9),
     )
 
@@ -150,7 +146,7 @@ def _sway_m(
         plan = planner.plan(goal=goal.tolist(), start_feet_world=feet, first_side=None)
         return StepSequence.of(feet, plan.side.astype(np.int64), plan.pose_world)
 
-    walker = start_walks(setup.robot, draw, count=count, seed=setup.seed, threads=setup.threads)
+    walker = start_walks(setup.robot, draw, **setup.draws(count))
     reach = BodySway(walker.scene, model.body)
     beyond = []
     stances = walker.cursor.stances
@@ -212,16 +208,16 @@ def _climb_m(
     level = StepLimits(x_m=(0, 0), y_m=(0, 0), yaw_rad=(0, 0)).z_m
     most = {
         way: max(
-            (row["rise_m"] for row in plain if row["way"] == way and _walked(row)),
+            (
+                row["rise_m"]
+                for row in plain
+                if row["way"] == way and row["success"] >= STAIRS_SUCCESS
+            ),
             default=level[1],
         )
         for way in ("up", "down")
     }
     return (max(stated[0], -most["down"]), min(stated[1], most["up"])), told
-
-
-def _walked(row: dict[str, Any]) -> bool:
-    return bool(row["success"] >= STAIRS_SUCCESS)
 
 
 def _millimetres_up(length_m: float) -> float:

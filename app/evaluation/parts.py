@@ -39,6 +39,10 @@ class EvaluationSetup:
         """A part of the episodes, at least one."""
         return max(1, self.episodes // divisor)
 
+    def draws(self, count: int) -> dict[str, Any]:
+        """Arguments of the rollouts of so many robots."""
+        return {"count": count, "seed": self.seed, "threads": self.threads}
+
     @property
     def settings(self) -> dict[str, Any]:
         """What a result depends on, besides the code."""
@@ -109,6 +113,14 @@ def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """A Markdown table."""
     lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
     return lines + ["| " + " | ".join(row) + " |" for row in rows]
+
+
+def paragraphs(*parts: str | Sequence[str]) -> list[str]:
+    """The lines of a section: parts of one line or several, with a blank line between."""
+    lines: list[str] = []
+    for part in parts:
+        lines += ["", part] if isinstance(part, str) else ["", *part]
+    return lines[1:]
 
 
 def cell(value: float | None, form: str = "{:.1f}", scale: float = 1.0) -> str:

@@ -17,6 +17,7 @@ from app.evaluation.parts import (
     Document,
     cell,
     pair,
+    paragraphs,
     table,
 )
 from controller.evaluation.gait_metrics import asymmetry
@@ -70,18 +71,15 @@ def _modes(document: Document) -> list[str]:
         *("mode", "episodes", "falls", "steps", "foot error, median / p95", "p99"),
         *("along, median / p95", "across, median / p95", "heading, median / p95"),
     )
-    return [
+    return paragraphs(
         "## Falls and foot errors",
-        "",
         "A foot error is the horizontal distance between where a foot rests at the end of its "
         "step's period and where that step was asked for; along and across are its parts along "
         "and across the step. The paper gives no such distance: its step counts as hit when "
         f"either foot is within {100 * HIT_RADIUS_M:.0f} cm.",
-        "",
-        *table(titles, rows),
-        "",
+        table(titles, rows),
         "![Share of steps within a distance](errors.png)",
-    ]
+    )
 
 
 def _stairs(document: Document) -> list[str]:
@@ -116,32 +114,27 @@ def _stairs(document: Document) -> list[str]:
         *shown("joint", "joints, degrees", 1.0, JOINT_NOISE_WITHSTOOD_DEG),
     ]
     titles = ("rise", "noise", "episodes", "up: success, length", "down", f"{TITLE}, 10 cm")
-    return [
+    return paragraphs(
         "## Stairs",
-        "",
         "Episodes of 10 s on runs of 25 to 30 cm. Success: neither fallen nor strayed from the "
         "plan. Each tread is uniformly higher or lower than observed by up to the tread noise; "
         "joint noise is uniform on every observed joint position, with matching noise on the "
         "velocities.",
-        "",
-        *table(titles, rows),
-        "",
+        table(titles, rows),
         "![Success and episode length on noisy stairs](stairs.png)",
-    ]
+    )
 
 
 def _gait(document: Document) -> list[str]:
     gait = document["gait"]
-    lines = [
+    head = (
         "## Gait, loads, ground force and contact",
-        "",
         f"{gait['walks']} walks of 10 s straight forward with steps of {100 * gait['step_m']:.0f} "
         f"cm, recorded at 1 kHz; {gait['falls']} fell and are left out.",
-    ]
+    )
     joints = gait.get("joints")
     if not joints:
-        return lines
-    lines += ["", *_walk_figures(gait)]
+        return paragraphs(*head)
     half = len(joints) // 2
     rows = []
     for left, right in zip(joints[:half], joints[half:], strict=True):
@@ -160,27 +153,25 @@ def _gait(document: Document) -> list[str]:
         *("joint", "peak torque left / right, N m", "limit"),
         *("peak speed left / right, rad/s", "limit", "left and right differ by"),
     )
-    lines += [*table(titles, rows), ""]
-    lines += _paper_peaks(document["robot"], joints)
-    lines += [
-        "The last column compares the root mean square torques.",
-        "",
+    return paragraphs(
+        *head,
+        _walk_figures(gait),
+        table(titles, rows),
+        [
+            *_paper_peaks(document["robot"], joints),
+            "The last column compares the root mean square torques.",
+        ],
         "![Peak loads as shares of their limits](loads.png)",
-        "",
         f"The vertical force under a foot peaks at {max(gait['force_peak']):.2f} times the weight "
         "(left {:.2f}, right {:.2f}).".format(*gait["force_peak"]),
-        "",
         "![Vertical ground force over the gait](forces.png)",
-        "",
         "Contact is what the phase indicator asks for during "
         f"{cell(gait['contact_agreement'], '{:.1f} %', 100)} of the time outside its ramps; feet "
         f"lift off {cell(gait['lift_off_lag_s'], '{:.0f} ms', 1000)} after the clock and touch "
         f"down {cell(gait['touch_down_lag_s'], '{:.0f} ms', 1000)} after it (medians; less than 0 "
         "is early).",
-        "",
         "![Phase indicator and contact](contact.png)",
-    ]
-    return lines
+    )
 
 
 def _walk_figures(gait: Mapping[str, Any]) -> list[str]:
@@ -188,7 +179,7 @@ def _walk_figures(gait: Mapping[str, Any]) -> list[str]:
     jerk = f"Joint jerk: {cell(gait['joint_jerk_rad_s3'], '{:.0f} rad/s³')} (root mean square)."
     walk = gait["walk"]
     if walk is None:
-        return [jerk, ""]
+        return [jerk]
     height, apex = walk["pelvis_height_m"], walk["swing_apex_m"]
     touchdown = walk["touchdown_speed_m_s"] or {"median": None, "p95": None}
     rows = [
@@ -210,15 +201,12 @@ def _walk_figures(gait: Mapping[str, Any]) -> list[str]:
         ("cost of transport", cell(walk["cost_of_transport"], "{:.2f}")),
         ("speed", f"{walk['speed_m_s']:.2f} m/s"),
     ]
-    return [
+    return paragraphs(
         "The same steps again, then a stand: every step counts, those of setting off and stopping "
         "too.",
-        "",
-        *table(("gait", ""), rows),
-        "",
+        table(("gait", ""), rows),
         jerk,
-        "",
-    ]
+    )
 
 
 def _paper_peaks(robot: str, joints: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -253,17 +241,14 @@ def _push(document: Document) -> list[str]:
         for row in document["push"]
     ]
     titles = ("pushed", *(f"{impulse:g} N s" for impulse in impulses))
-    return [
+    return paragraphs(
         "## Push recovery",
-        "",
         f"{document['push'][0]['walks']} walks straight forward for each direction and impulse, "
         "pushed once for 0.1 s at the pelvis, at a moment drawn over the gait cycle; success is "
         "to be on one's feet at the end.",
-        "",
-        *table(titles, rows),
-        "",
+        table(titles, rows),
         "![Success against impulse](push.png)",
-    ]
+    )
 
 
 def _energy(document: Document) -> list[str]:
@@ -278,16 +263,13 @@ def _energy(document: Document) -> list[str]:
         for row in document["energy"]
     ]
     titles = ("walk", "step", "speed", "mechanical power", "cost of transport")
-    return [
+    return paragraphs(
         "## Speed and cost of transport",
-        "",
         "Cost of transport is E / (m g d) with E the absolute mechanical work of all leg joints: "
         "what brakes costs as much as what drives.",
-        "",
-        *table(titles, rows),
-        "",
+        table(titles, rows),
         "![Cost of transport over speed](energy.png)",
-    ]
+    )
 
 
 def _length_m(row: Document) -> float:
@@ -298,51 +280,46 @@ def _length_m(row: Document) -> float:
 def _long(document: Document) -> list[str]:
     long = document["long"]
     stayed = 1 - long["falls"] / long["walks"]
-    return [
+    return paragraphs(
         "## A minute of mixed walking",
-        "",
         f"{long['walks']} walks of {long['seconds']:.0f} s that change between all flat modes: "
         f"{long['falls']} fell, {100 * stayed:.1f} % succeeded.",
-    ]
+    )
 
 
 def _limits(document: Document) -> list[str]:
     limits = document["limits"]
-    lines = [
+    head = (
         "## What planning may ask for",
-        "",
         "Each kind of step on a grid over what was trained was walked "
         f"{limits['map']['walks_each']} times for 10 s: about every other step is of that kind, "
         "those between are of the planner's set.",
-        "",
         "![Success and foot error of all kinds of steps](limits.png)",
-        "",
         "The limits are those trained on, cut back at the corner where most walks fall until 99 % "
         "succeed. Walks begin with two steps on corners and go on anywhere within the limits and "
         "with steps of the planner's set:",
-        "",
-    ]
+    )
     rows = [
         (*_ends(tried["limits"]), f"{100 * tried['success']:.1f} %")
         for tried in limits["region"]["tried"]
     ]
-    lines += table(("forward, cm", "sideways, cm", "turn, degrees", "success"), rows)
+    tried = table(("forward, cm", "sideways, cm", "turn, degrees", "success"), rows)
     found = limits["measured"]
     if found is None:
-        return [*lines, "", "None of them reached 99 %: planning uses those of the robot's file."]
+        none = "None of them reached 99 %: planning uses those of the robot's file."
+        return paragraphs(*head, tried, none)
     z0, z1 = (100 * end for end in found["limits"]["z_m"])
-    return [
-        *lines,
-        "",
+    return paragraphs(
+        *head,
+        tried,
         "Planning uses the last of these, steps down to "
         f"{-z0:.0f} cm and up to {z1:.0f} cm, a foot margin of {100 * found['foot_margin_m']:.1f} "
         "cm (99th percentile of how far any point of a sole comes down from its place within "
         f"these limits) and a body margin of {100 * found['body_margin_m']:.1f} cm (the most that "
         f"any shape, here {found['evidence']['widest_shape']}, left its box in "
         f"{found['evidence']['planned_walks']} planned walks).",
-        "",
         f"Stored: {limits['stored'] or 'no'}.",
-    ]
+    )
 
 
 def _ends(limits: Document) -> tuple[str, str, str]:

@@ -15,7 +15,6 @@ from controller.assessment import ModeResult, assess_mode, at_navigation_rate
 from controller.evaluation.gait_metrics import (
     RECORDED_S,
     Step,
-    WalkRecord,
     contact_agreement,
     cost_of_transport,
     distance_m,
@@ -106,9 +105,7 @@ def mode_row(result: ModeResult) -> dict[str, Any]:
 def stairs_parts(setup: EvaluationSetup) -> list[Part]:
     """Stairs up and down: without noise, then with noise on treads and on joints."""
     few = setup.share(5)
-    cases: list[tuple[float, str, float, int]] = []
-    for rise_m in STAIR_RISES_M:
-        cases.append((rise_m, "none", 0.0, setup.episodes))
+    cases = [(rise_m, "none", 0.0, setup.episodes) for rise_m in STAIR_RISES_M]
     cases += [(STAIR_RISES_M[0], "tread", noise_m, few) for noise_m in TREAD_NOISE_M]
     cases += [(STAIR_RISES_M[0], "joint", noise_deg, few) for noise_deg in JOINT_NOISE_DEG]
 
@@ -153,19 +150,14 @@ def long_parts(setup: EvaluationSetup) -> list[Part]:
 
     def measure(results: Results) -> dict[str, Any]:
         survived: list[int] = []
+        ticks = round(LONG_WALK_S / CONTROL_PERIOD_S)
         for rows, seed in portions(count, setup.seed):
-            walker = start_walks(
-                setup.robot,
-                draw,
-                count=len(rows),
-                seed=seed,
-                threads=setup.threads,
-            )
+            settings = setup.draws(len(rows)) | {"seed": seed}
+            walker = start_walks(setup.robot, draw, **settings)
             lasted = np.zeros(len(rows), dtype=np.int64)
-            for tick in walk(walker, setup.policy, round(LONG_WALK_S / CONTROL_PERIOD_S)):
+            for tick in walk(walker, setup.policy, ticks):
                 lasted += tick.upright
             survived += lasted.tolist()
-        ticks = round(LONG_WALK_S / CONTROL_PERIOD_S)
         falls = sum(lasted < ticks for lasted in survived)
         fallen_s = sorted(lasted * CONTROL_PERIOD_S for lasted in survived if lasted < ticks)
         return {"walks": count, "seconds": LONG_WALK_S, "falls": falls, "fell_at_s": fallen_s}
@@ -181,7 +173,7 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
     count = min(RECORDED, 2 * setup.episodes)
 
     def measure(results: Results) -> dict[str, Any]:
-        record = _recorded(setup, step, count)
+        record = record_walk(robot, setup.policy, step, **setup.draws(count))
         head = {"step_m": step[0], "walks": count, "falls": int(count - record.upright.sum())}
         if not record.upright.any():
             return head
@@ -191,9 +183,7 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
         weights = steady.ground_force_n / robot.weight_n
         contact = in_contact(steady, robot.mass_kg).astype(float)
         asked = np.repeat(steady.indicator, steady.substeps, axis=1)
-        summary = walk_and_stand(
-            robot, setup.policy, step, count=count, seed=setup.seed, threads=setup.threads
-        )
+        summary = walk_and_stand(robot, setup.policy, step, **setup.draws(count))
         lift_s, touch_s = swing_lags(steady, robot.mass_kg, ticks)
         curves = {"force": weights, "contact": contact, "indicator": asked}
         cycles = {
@@ -219,25 +209,12 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
     return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
 
 
-def _recorded(setup: EvaluationSetup, step: Step, count: int) -> WalkRecord:
-    """Walks of one step, as `record_walk` records them."""
-    return record_walk(
-        setup.robot,
-        setup.policy,
-        step,
-        count=count,
-        seconds=RECORDED_S,
-        seed=setup.seed,
-        threads=setup.threads,
-    )
-
-
 def energy_parts(setup: EvaluationSetup) -> list[Part]:
     """Cost of transport and speed of walks forward, backward and sideways."""
     count = min(RECORDED // 2, 2 * setup.episodes)
 
     def measure(results: Results, step: Step, kind: str) -> dict[str, Any]:
-        record = _recorded(setup, step, count)
+        record = record_walk(setup.robot, setup.policy, step, **setup.draws(count))
         falls = int(count - record.upright.sum())
         row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
         if not record.upright.any():
@@ -281,13 +258,7 @@ def push_parts(setup: EvaluationSetup) -> list[Part]:
 
     def measure(results: Results, direction: str) -> dict[str, Any]:
         success = push_recovery(
-            setup.robot,
-            setup.policy,
-            direction,
-            impulses_ns,
-            count=count,
-            seed=setup.seed,
-            threads=setup.threads,
+            setup.robot, setup.policy, direction, impulses_ns, **setup.draws(count)
         )
         return {
             "direction": direction,

@@ -16,11 +16,10 @@ from controller.evaluation.gait_summary import (
     GaitSummary,
     summary_of,
 )
-from controller.evaluation.rollouts import LONGEST_WAIT_TICKS, start_walks, walk
+from controller.evaluation.rollouts import LONGEST_WAIT_TICKS, chained, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.policy import Policy
-from controller.step_cursor import StepSequence
-from controller.step_sequences import chain_steps
+from controller.walker import Walker
 from planner.robot_model import Side
 from sim.robot import GRAVITY_M_S2, Robot
 
@@ -89,14 +88,10 @@ def record_walk(
     outward, as in `StepModel.steps`. In sideways and turning walks one foot takes the step and
     the other follows to the stance width.
     """
-    steps = int(seconds / robot.gait.step_s) + 2
-
-    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
-        relative = repeat_step(step, robot.step_model.stance_width_m, steps)
-        side, poses = chain_steps(feet, Side(row % 2), relative)
-        return StepSequence.of(feet, side, poses)
-
-    walker = start_walks(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
+    relative = repeat_step(
+        step, robot.step_model.stance_width_m, int(seconds / robot.gait.step_s) + 2
+    )
+    walker = _start(robot, relative, count, seed, threads)
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
     torque, speed, force, indicator, cycle_tick, pelvis = [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
@@ -139,13 +134,8 @@ def walk_and_stand(
     """
     width_m = robot.step_model.stance_width_m
     steps = int(seconds / robot.gait.step_s)
-
-    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
-        relative = np.vstack([repeat_step(step, width_m, steps), (0.0, width_m, 0.0)])
-        side, poses = chain_steps(feet, Side(row % 2), relative)
-        return StepSequence.of(feet, side, poses)
-
-    walker = start_walks(robot, draw, count=count, seed=seed, threads=threads, record=("qvel",))
+    relative = np.vstack([repeat_step(step, width_m, steps), (0.0, width_m, 0.0)])
+    walker = _start(robot, relative, count, seed, threads)
     longest_s = LONGEST_WAIT_TICKS * CONTROL_PERIOD_S + (steps + 2) * robot.gait.step_s + rest_s
     recorders = [GaitRecorder(walker, row) for row in range(count)]
     upright, cursor = np.ones(count, dtype=bool), walker.cursor
@@ -161,6 +151,18 @@ def walk_and_stand(
             )
         sides, walking = cursor.side.copy(), ~cursor.standing
     return summary_of([recorders[row] for row in np.flatnonzero(upright)])
+
+
+def _start(robot: Robot, relative: np.ndarray, count: int, seed: int, threads: int) -> Walker:
+    """Robots that take these steps (n, 3), every other one with the left foot first."""
+    return start_walks(
+        robot,
+        lambda rng, row, feet: chained(feet, row % 2, relative),
+        count=count,
+        seed=seed,
+        threads=threads,
+        record=("qvel",),
+    )
 
 
 def repeat_step(step: Step, stance_width_m: float, steps: int) -> np.ndarray:

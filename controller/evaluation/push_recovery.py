@@ -8,12 +8,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from controller.evaluation.rollouts import portions, start_walks, walk
+from controller.evaluation.rollouts import chained, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
-from controller.step_sequences import chain_steps
-from planner.robot_model import Side
 from sim.robot import Robot
 
 # In the frame of the walk: x forward, y left.
@@ -97,8 +95,7 @@ def _walk_pushed(
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         length_m = rng.uniform(0.5, 1.0) * ahead_m
         relative = np.tile((length_m, width_m, 0.0), (steps, 1))
-        side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
-        return StepSequence.of(feet, side, poses)
+        return chained(feet, int(rng.integers(2)), relative)
 
     walker = start_walks(robot, draw, count=len(pushes), seed=seed, threads=threads)
     still = (0.0, 0.0, 0.0)

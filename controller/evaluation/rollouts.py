@@ -13,7 +13,9 @@ import numpy as np
 
 from controller.policy import Policy
 from controller.step_cursor import StepSequence
+from controller.step_sequences import chain_steps
 from controller.walker import Walker
+from planner.robot_model import Side
 from sim.robot import Robot
 from sim.scene import build_scene
 
@@ -43,6 +45,12 @@ class ControlStep:
     placed_world: np.ndarray  # (B, 4) its foot now
     indicator: np.ndarray  # (B, 2) support indicator
     cycle_tick: np.ndarray  # control ticks since the right foot's lift-off, -1 while standing
+
+
+def chained(feet: np.ndarray, first: int, relative: np.ndarray) -> StepSequence:
+    """The sequence from feet (2, 4) of steps (n, 3), each in the frame of the support foot."""
+    side, poses = chain_steps(feet, Side(first), relative)
+    return StepSequence.of(feet, side, poses)
 
 
 def start_walks(

@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from controller.evaluation.rollouts import portions, start_walks, walk
+from controller.evaluation.rollouts import chained, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from controller.step_cursor import STANCE, StepSequence
-from controller.step_sequences import chain_steps, clip_to_limits
+from controller.step_sequences import clip_to_limits
 from planner.plan import pair_pose, wrap_angle
-from planner.robot_model import BodyShape, Side, StepLimits, StepModel
+from planner.robot_model import BodyShape, StepLimits, StepModel
 from sim.robot import PHYSICS_GROUP, Robot
 from sim.scene import Scene
 
@@ -157,8 +157,7 @@ def _walk_portion(
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         relative, counting[row] = draw_steps(rng, steps, rows[row])
-        side, poses = chain_steps(feet, Side(int(rng.integers(2))), relative)
-        return StepSequence.of(feet, side, poses)
+        return chained(feet, int(rng.integers(2)), relative)
 
     walker = start_walks(robot, draw, count=len(rows), seed=seed, threads=threads)
     upright = np.ones(len(rows), dtype=bool)
