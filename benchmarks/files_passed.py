@@ -26,11 +26,10 @@ from typing import Any
 from app.commands.plan import PlanOptions
 from app.commands.plan import run as plan
 from app.options import MapOptions, read_grid
-from app.viewer.page import load_robot, open_page, painted_in_background
 from app.viewer.planner_process import Answer, Query, World, answer_questions
-from benchmarks.page_click import SERVED, clicked, wait
-from benchmarks.page_watcher import Watcher
+from benchmarks.page_click import SERVED, clicked, watched_page
 from planner.plan import Pose, feet_at
+from sim.robots import get_robot
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -74,23 +73,15 @@ def count_plan(counter: FileCounter, grid_file: Path, goal: Pose) -> None:
 def count_click(counter: FileCounter, grid_file: Path, goal: Pose) -> None:
     """Counts a click on the floor of the page, and its plan by the planner of the page."""
     grid = read_grid(MapOptions(map=grid_file))
-    robot, policy = load_robot("jvrc1")
-    with (
-        open_page(grid, robot, policy, title="clicks", options=SERVED) as page,
-        painted_in_background(page),
-    ):
-        session, watcher = page.session, Watcher(page.server.url)
-        wait(lambda: session.is_ready(wait_s=1.0))
-        session.start()
-        wait(lambda: page.visitors == 1)
-        clicked(session, watcher, *goal[:2])
+    with watched_page(grid) as (page, watcher):
+        clicked(page.session, watcher, *goal[:2])
         with counter.on():
-            clicked(session, watcher, *goal[:2])
-        watcher.close()
+            clicked(page.session, watcher, *goal[:2])
+    model = get_robot("jvrc1").step_model
     ours, theirs = multiprocessing.Pipe()
     threading.Thread(target=answer_questions, args=(theirs,), daemon=True).start()
-    ours.send(World(grid=grid, model=robot.step_model, options=SERVED))
-    feet = feet_at((0.0, 0.0, 0.0), robot.step_model.stance_width_m)
+    ours.send(World(grid=grid, model=model, options=SERVED))
+    feet = feet_at((0.0, 0.0, 0.0), model.stance_width_m)
     for number, is_counted in enumerate((False, True)):
         query = Query(number=number, goal=goal, start_feet_world=feet, first_side=None, once=True)
         with counter.on() if is_counted else contextlib.nullcontext():

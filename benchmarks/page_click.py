@@ -13,16 +13,18 @@ read from /proc (Linux).
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from app.options import MapOptions, read_grid
-from app.viewer.page import load_robot, open_page, painted_in_background
+from app.options import MapOptions, load_walker, read_grid
+from app.viewer.page import Page, open_page, painted_in_background
 from app.viewer.session import Session
 from benchmarks.page_watcher import Watcher
+from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 
 WAIT_LIMIT_S = 300.0
@@ -43,29 +45,36 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     grid = read_grid(MapOptions(map=options.map))
-    robot, policy = load_robot("jvrc1")
     rows: list[tuple[float, ...]] = []
     rng = np.random.default_rng(options.seed)
     x0, y0, x1, y1 = grid.bounds_world()
+    with watched_page(grid) as (page, watcher):
+        print(HEADER)
+        while len(rows) < options.goals:
+            x_m, y_m = float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1))
+            row = clicked(page.session, watcher, x_m, y_m)
+            if row is not None:
+                rows.append(row)
+                print_row(f"{x_m:6.2f},{y_m:6.2f}", row)
+    print_row("median", tuple(np.median(rows, axis=0)))
+    print_row("worst", tuple(np.max(rows, axis=0)))
+
+
+@contextlib.contextmanager
+def watched_page(grid: OccupancyGrid) -> Iterator[tuple[Page, Watcher]]:
+    """A page that plans as `serve` does, ready for clicks, and one who watches it."""
+    robot, policy = load_walker("jvrc1", None)
     with (
         open_page(grid, robot, policy, title="clicks", options=SERVED) as page,
         painted_in_background(page),
     ):
-        session, watcher = page.session, Watcher(page.server.url)
+        watcher = Watcher(page.server.url)
         # As `serve` does before it says that its page is up.
-        wait(lambda: session.is_ready(wait_s=1.0))
-        session.start()
+        wait(lambda: page.session.is_ready(wait_s=1.0))
+        page.session.start()
         wait(lambda: page.visitors == 1)
-        print(HEADER)
-        while len(rows) < options.goals:
-            x_m, y_m = float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1))
-            row = clicked(session, watcher, x_m, y_m)
-            if row is not None:
-                rows.append(row)
-                print_row(f"{x_m:6.2f},{y_m:6.2f}", row)
+        yield page, watcher
         watcher.close()
-    print_row("median", tuple(np.median(rows, axis=0)))
-    print_row("worst", tuple(np.max(rows, axis=0)))
 
 
 def clicked(session: Session, watcher: Watcher, x_m: float, y_m: float) -> tuple[float, ...] | None:

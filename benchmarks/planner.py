@@ -10,6 +10,7 @@ Every plan is checked by exact polygons.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 import resource
@@ -77,22 +78,6 @@ class Arguments:
     epsilon: float = 1.2
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rows:
-    """Measurements (n,) of the queries of one map."""
-
-    first_s: np.ndarray
-    first_ratio: np.ndarray
-    best_s: np.ndarray
-    best_ratio: np.ndarray
-    proven: np.ndarray
-    expansions: np.ndarray
-    goal_shut_s: np.ndarray
-    start_shut_s: np.ndarray
-    first_expansions: np.ndarray
-    wrong: int
-
-
 def queries_by_map(
     folder: Path, maps: tuple[str, ...], count: int
 ) -> Iterator[tuple[str, OccupancyGrid, list[dict[str, Any]]]]:
@@ -137,8 +122,10 @@ def timed(planner: Planner, query: dict[str, Any]) -> tuple[FootstepPlan, float]
     return plan, time.process_time() - began
 
 
-def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Arguments) -> Rows:
-    """Measurements of all queries of a map."""
+def run_map(
+    grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Arguments
+) -> dict[str, np.ndarray]:
+    """Measurements (n,) of all queries of a map, by name; `wrong` (n,): plans that are wrong."""
     model = StepModel(**{**vars(ROBOT), "cell_m": arguments.cell_m})
     quick = PlannerOptions(epsilon=arguments.epsilon, stop_at_first=True, refine=False)
     full = PlannerOptions(
@@ -150,61 +137,48 @@ def run_map(grid: OccupancyGrid, queries: list[dict[str, Any]], arguments: Argum
     )
     # Compiles, and makes the tables of the robot.
     Planner(grid, model, full).plan(start=queries[0]["start"], goal=queries[0]["goal"])
-    columns: list[tuple[float, ...]] = []
-    wrong = 0
+    rows: list[dict[str, float]] = []
     for query in queries:
         first, first_s = timed(Planner(grid, model, quick), query)
         best, best_s = timed(Planner(grid, model, full), query)
-        for plan in (first, best):
-            faults = violations(plan, grid, model)
-            wrong += len(faults) > 0
-            for fault in faults[:1]:
-                print(f"query {query['id']}: {fault}", file=sys.stderr)
+        faults = [violations(plan, grid, model)[:1] for plan in (first, best)]
+        for fault in itertools.chain(*faults):
+            print(f"query {query['id']}: {fault}", file=sys.stderr)
         # A plan that was not found in time has no cost to compare with.
         best_m = best.cost_m if best.found else math.nan
         known_m = query["best_known_cost_m"] or best_m
-        columns.append(
-            (
-                first_s,
-                first.cost_m / best_m,
-                best_s,
-                best_m / known_m,
-                best.found and best.epsilon == 1.0,
-                best.expansions,
-                refused(grid, model, query, full, "goal"),
-                refused(grid, model, query, full, "start"),
-                first.expansions,
-            )
+        rows.append(
+            {
+                "first_s": first_s,
+                "first_ratio": first.cost_m / best_m,
+                "first_expansions": first.expansions,
+                "best_s": best_s,
+                "best_ratio": best_m / known_m,
+                "proven": best.found and best.epsilon == 1.0,
+                "expansions": best.expansions,
+                "goal_shut_s": refused(grid, model, query, full, "goal"),
+                "start_shut_s": refused(grid, model, query, full, "start"),
+                "wrong": sum(map(len, faults)),
+            }
         )
-    table = np.array(columns, dtype=float).T
-    return Rows(
-        first_s=table[0],
-        first_ratio=table[1],
-        best_s=table[2],
-        best_ratio=table[3],
-        proven=table[4] > 0,
-        expansions=table[5],
-        goal_shut_s=table[6],
-        start_shut_s=table[7],
-        first_expansions=table[8],
-        wrong=wrong,
-    )
+    return {name: np.array([row[name] for row in rows], float) for name in rows[0]}
 
 
-def row_of(name: str, rows: Rows) -> str:
+def row_of(name: str, rows: dict[str, np.ndarray]) -> str:
     """One line of the table."""
 
     def pair(values: np.ndarray, unit: float) -> str:
         return f"{np.nanmedian(values) * unit:.1f} / {np.nanpercentile(values, 95) * unit:.1f}"
 
     return (
-        f"| {name} | {pair(rows.first_s, 1e3)} "
-        f"| {np.median(rows.first_expansions):.0f} / {rows.first_expansions.max():.0f} "
-        f"| {np.nanmedian(rows.first_ratio):.2f} "
-        f"| {pair(rows.best_s, 1e3)} / {rows.best_s.max() * 1e3:.0f} "
-        f"({int(rows.proven.sum())} of {len(rows.proven)}) "
-        f"| {np.nanmedian(rows.best_ratio):.3f} | {np.median(rows.expansions):.0f} "
-        f"| {pair(rows.goal_shut_s, 1e3)} | {pair(rows.start_shut_s, 1e3)} | {rows.wrong} |"
+        f"| {name} | {pair(rows['first_s'], 1e3)} "
+        f"| {np.median(rows['first_expansions']):.0f} / {rows['first_expansions'].max():.0f} "
+        f"| {np.nanmedian(rows['first_ratio']):.2f} "
+        f"| {pair(rows['best_s'], 1e3)} / {rows['best_s'].max() * 1e3:.0f} "
+        f"({int(rows['proven'].sum())} of {len(rows['proven'])}) "
+        f"| {np.nanmedian(rows['best_ratio']):.3f} | {np.median(rows['expansions']):.0f} "
+        f"| {pair(rows['goal_shut_s'], 1e3)} | {pair(rows['start_shut_s'], 1e3)} "
+        f"| {rows['wrong'].sum():.0f} |"
     )
 
 
