@@ -87,6 +87,11 @@ class Box(Solid):
         return replace(self, centre=mirrored(self.centre))
 
 
+def capsule(first: Vector, second: Vector, radius: float) -> Rod:
+    """The capsule between two points."""
+    return Rod(ends=(first, second), radius=radius, is_round=True)
+
+
 # Body -> name of the shape -> shape, in the body's frame.
 Shapes = Mapping[str, Mapping[str, Solid]]
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from sim.menagerie import MenagerieModel
 from sim.robot import GaitTiming, both_legs
-from sim.solids import Box, Rod, Shapes
+from sim.solids import Box, Shapes, capsule
 
 FOOT = FootShape(length_m=0.18, width_m=0.07)
 
@@ -36,26 +36,18 @@ ARM_POSE_RAD = {
 }
 
 _LEG_SHAPES: Shapes = {
-    "hip_yaw_link": {
-        "thigh": Rod(ends=((-0.02, 0, 0.02), (-0.075, 0, -0.16)), radius=0.05, is_round=True)
-    },
-    "knee_link": {
-        "shank": Rod(ends=((0.01, 0, -0.03), (0, 0, -0.25)), radius=0.037, is_round=True)
-    },
+    "hip_yaw_link": {"thigh": capsule((-0.02, 0, 0.02), (-0.075, 0, -0.16), 0.05)},
+    "knee_link": {"shank": capsule((0.01, 0, -0.03), (0, 0, -0.25), 0.037)},
 }
 _ARM_SHAPES: Shapes = {
-    "shoulder_yaw_link": {
-        "upper_arm": Rod(ends=((0, 0, 0.09), (0.01, 0, -0.07)), radius=0.042, is_round=True)
-    },
-    "elbow_link": {
-        "forearm": Rod(ends=((0, 0, -0.01), (0.32, 0, -0.01)), radius=0.042, is_round=True)
-    },
+    "shoulder_yaw_link": {"upper_arm": capsule((0, 0, 0.09), (0.01, 0, -0.07), 0.042)},
+    "elbow_link": {"forearm": capsule((0, 0, -0.01), (0.32, 0, -0.01), 0.042)},
 }
 _BODY_SHAPES: Shapes = {
-    "pelvis": {"hips": Rod(ends=((0, -0.06, -0.08), (0, 0.06, -0.08)), radius=0.07, is_round=True)},
+    "pelvis": {"hips": capsule((0, -0.06, -0.08), (0, 0.06, -0.08), 0.07)},
     "torso_link": {
         "torso": Box(centre=(0.008, 0, 0.14), size=(0.155, 0.22, 0.30)),
-        "skull": Rod(ends=((0.008, 0, 0.36), (0.008, 0, 0.407)), radius=0.08, is_round=True),
+        "skull": capsule((0.008, 0, 0.36), (0.008, 0, 0.407), 0.08),
     },
 }
 

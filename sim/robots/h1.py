@@ -14,7 +14,7 @@ from __future__ import annotations
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from sim.menagerie import MenagerieModel
 from sim.robot import GaitTiming, both_legs
-from sim.solids import Box, Rod, Shapes
+from sim.solids import Box, Shapes, capsule
 
 FOOT = FootShape(length_m=0.22, width_m=0.08)
 
@@ -30,28 +30,18 @@ _LEG = (
 ARM_POSE_RAD = {"left_elbow": 1.1, "right_elbow": 1.1}
 
 _LEG_SHAPES: Shapes = {
-    "hip_pitch_link": {
-        "thigh": Rod(ends=((0.02, 0, -0.02), (0.01, 0, -0.37)), radius=0.055, is_round=True)
-    },
-    "knee_link": {
-        "shank": Rod(ends=((0, 0, -0.03), (-0.01, 0, -0.33)), radius=0.045, is_round=True)
-    },
+    "hip_pitch_link": {"thigh": capsule((0.02, 0, -0.02), (0.01, 0, -0.37), 0.055)},
+    "knee_link": {"shank": capsule((0, 0, -0.03), (-0.01, 0, -0.33), 0.045)},
 }
 _ARM_SHAPES: Shapes = {
-    "shoulder_yaw_link": {
-        "upper_arm": Rod(ends=((0, 0, 0.13), (0.01, 0, -0.20)), radius=0.05, is_round=True)
-    },
-    "elbow_link": {
-        "forearm": Rod(ends=((0, 0, -0.01), (0.28, 0, -0.01)), radius=0.042, is_round=True)
-    },
+    "shoulder_yaw_link": {"upper_arm": capsule((0, 0, 0.13), (0.01, 0, -0.20), 0.05)},
+    "elbow_link": {"forearm": capsule((0, 0, -0.01), (0.28, 0, -0.01), 0.042)},
 }
 _BODY_SHAPES: Shapes = {
-    "pelvis": {
-        "hips": Rod(ends=((-0.02, -0.07, -0.12), (-0.02, 0.07, -0.12)), radius=0.09, is_round=True)
-    },
+    "pelvis": {"hips": capsule((-0.02, -0.07, -0.12), (-0.02, 0.07, -0.12), 0.09)},
     "torso_link": {
         "torso": Box(centre=(0.02, 0, 0.24), size=(0.19, 0.32, 0.44)),
-        "skull": Rod(ends=((0.03, 0, 0.56), (0.03, 0, 0.66)), radius=0.092, is_round=True),
+        "skull": capsule((0.03, 0, 0.56), (0.03, 0, 0.66), 0.092),
     },
 }
 

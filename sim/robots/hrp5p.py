@@ -27,8 +27,8 @@ from sim.robot import (
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
     GaitTiming,
-    LegJoint,
     Robot,
+    both_legs,
 )
 from sim.solids import (
     Block,
@@ -42,6 +42,7 @@ from sim.solids import (
     add_shape,
     add_shapes,
     add_sole,
+    capsule,
     mirrored,
 )
 
@@ -67,8 +68,16 @@ _JOINTS = (
 )
 _AXES = {"Y": (0, 0, 1), "R": (1, 0, 0), "P": (0, 1, 0)}  # by the last letter of the joint's name
 # Servo gains, ESTIMATED: twice those of JVRC-1, a robot of three fifths the mass.
-_KP = {"CY": 400, "CR": 400, "CP": 400, "KP": 500, "AP": 160, "AR": 160}
+_KP = (400, 400, 400, 500, 160, 160)
 _KD_OF_KP = 0.1
+JOINTS = both_legs(
+    [
+        (name, kp, _KD_OF_KP * kp, torque, speed, armature, angle_deg, 1 if name[-1] == "P" else -1)
+        for (name, _, torque, speed, armature, angle_deg, _), kp in zip(_JOINTS, _KP, strict=True)
+    ],
+    named="{side}{joint}",
+    sides=("L", "R"),
+)
 # ESTIMATED, as in the public model of JVRC-1; N m s/rad.
 DAMPING = 0.2
 
@@ -108,20 +117,20 @@ ELBOW_M, WRIST_M = (0.05, 0.02, -0.295804), (-0.05, 0, -0.295804)
 # Collision shapes, ESTIMATED from the bounds of WRS's meshes. The thigh's motors lie outward of the
 # hip joint, so thighs and shanks stay apart in half-sitting.
 _LEG_SHAPES: dict[str, Solid] = {
-    "thigh": Rod(ends=((0, 0.085, -0.03), (0, 0.070, -0.36)), radius=0.060, is_round=True),
-    "shank": Rod(ends=((0.01, 0.010, -0.03), (0.01, 0.005, -0.31)), radius=0.050, is_round=True),
+    "thigh": capsule((0, 0.085, -0.03), (0, 0.070, -0.36), 0.060),
+    "shank": capsule((0.01, 0.010, -0.03), (0.01, 0.005, -0.31), 0.050),
 }
 _BODY_SHAPES: Shapes = {
     "pelvis": {"hips": Box(centre=(-0.030, 0, 0.10), size=(0.34, 0.31, 0.30))},
     "chest": {
-        "waist": Rod(ends=((-0.03, 0, 0.02), (-0.03, 0, 0.12)), radius=0.11, is_round=True),
+        "waist": capsule((-0.03, 0, 0.02), (-0.03, 0, 0.12), 0.11),
         "torso": Box(centre=(-0.085, 0, 0.25), size=(0.36, 0.34, 0.34)),
     },
-    "head_link": {"skull": Rod(ends=((0, 0, -0.03), (0, 0, 0.04)), radius=0.095, is_round=True)},
+    "head_link": {"skull": capsule((0, 0, -0.03), (0, 0, 0.04), 0.095)},
 }
 _ARM_SHAPES: dict[str, Solid] = {
-    "upper_arm": Rod(ends=((0, 0.01, 0), (0.03, 0.02, -0.29)), radius=0.06, is_round=True),
-    "forearm": Rod(ends=((-0.03, 0, -0.02), (-0.05, 0.005, -0.42)), radius=0.05, is_round=True),
+    "upper_arm": capsule((0, 0.01, 0), (0.03, 0.02, -0.29), 0.06),
+    "forearm": capsule((-0.03, 0, -0.02), (-0.05, 0.005, -0.42), 0.05),
 }
 
 # What is seen: covers light, motors dark. Drawn after the same bounds; colours are our own.
@@ -215,23 +224,6 @@ STEPS = (
     *((x, 0.23, 0.15) for x in (0.0, 0.10, 0.25)),
     *((x, 0.21, -0.15) for x in (0.0, 0.10, 0.20)),
 )
-
-
-def _joints() -> tuple[LegJoint, ...]:
-    return tuple(
-        LegJoint(
-            name=f"{side}{name}",
-            kp=_KP[name],
-            kd=_KD_OF_KP * _KP[name],
-            torque_limit_nm=torque,
-            speed_limit_rad_s=speed,
-            armature_kg_m2=armature,
-            half_sitting_rad=math.radians(angle_deg),
-            mirror_sign=1 if name.endswith("P") else -1,
-        )
-        for side in "LR"
-        for name, _, torque, speed, armature, angle_deg, _ in _JOINTS
-    )
 
 
 def _set_mass(
@@ -363,7 +355,7 @@ ROBOT = Robot(
         body_margin_m=0.11,
     ),
     gait=GaitTiming(single_support_s=0.75, double_support_s=0.35),
-    joints=_joints(),
+    joints=JOINTS,
     mass_kg=103.0,
     height_m=1.82,
     pelvis_height_m=0.7904,

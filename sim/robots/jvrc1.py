@@ -25,7 +25,7 @@ from sim.robot import (
     Robot,
     both_legs,
 )
-from sim.solids import Rod, Shapes, Vector, add_shapes, add_sole, fix_joint
+from sim.solids import Shapes, add_shapes, add_sole, capsule, fix_joint
 
 if TYPE_CHECKING:
     import mujoco
@@ -54,27 +54,22 @@ _LEG = (
 )
 JOINTS = both_legs(_LEG, named="{side}_{joint}", sides=("L", "R"))
 
-
-def _capsule(first: Vector, second: Vector, radius: float) -> Rod:
-    return Rod(ends=(first, second), radius=radius, is_round=True)
-
-
 # Capsules that cover the meshes of the package to within about a centimetre; sides by prefix.
 _LEG_SHAPES: Shapes = {
-    "HIP_Y_S": {"thigh": _capsule((0.01, 0, -0.10), (0, 0, -0.35), 0.055)},
-    "KNEE_S": {"shank": _capsule((0.03, 0, -0.03), (0.04, 0, -0.32), 0.053)},
+    "HIP_Y_S": {"thigh": capsule((0.01, 0, -0.10), (0, 0, -0.35), 0.055)},
+    "KNEE_S": {"shank": capsule((0.03, 0, -0.03), (0.04, 0, -0.32), 0.053)},
 }
 _ARM_SHAPES: Shapes = {
-    "SHOULDER_Y_S": {"upper_arm": _capsule((-0.01, 0, -0.05), (0, 0, -0.29), 0.045)},
-    "ELBOW_P_S": {"forearm": _capsule((-0.01, 0, -0.03), (0, 0, -0.40), 0.042)},
+    "SHOULDER_Y_S": {"upper_arm": capsule((-0.01, 0, -0.05), (0, 0, -0.29), 0.045)},
+    "ELBOW_P_S": {"forearm": capsule((-0.01, 0, -0.03), (0, 0, -0.40), 0.042)},
 }
 _BODY_SHAPES: Shapes = {
-    "pelvis": {"hips": _capsule((0, -0.04, 0.04), (0, 0.04, 0.04), 0.11)},
+    "pelvis": {"hips": capsule((0, -0.04, 0.04), (0, 0.04, 0.04), 0.11)},
     "WAIST_R_S": {
-        "chest": _capsule((0.01, -0.07, 0.16), (0.01, 0.07, 0.16), 0.11),
-        "shoulders": _capsule((0, -0.24, 0.33), (0, 0.24, 0.33), 0.06),
+        "chest": capsule((0.01, -0.07, 0.16), (0.01, 0.07, 0.16), 0.11),
+        "shoulders": capsule((0, -0.24, 0.33), (0, 0.24, 0.33), 0.06),
     },
-    "NECK_P_S": {"head": _capsule((0.01, 0, 0.05), (0.01, 0, 0.11), 0.10)},
+    "NECK_P_S": {"head": capsule((0.01, 0, 0.05), (0.01, 0, 0.11), 0.10)},
 }
 
 # Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
