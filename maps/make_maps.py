@@ -21,32 +21,24 @@ HEIGHT_PER_GREY_M = 0.0025
 class FloorPlan:
     """Boxes (x0, y0, x1, y1) and discs (x, y, radius) that stand on a floor, in metres.
 
-    bounds: x0, y0, x1, y1 of the picture. unknown: boxes that nobody has ever seen. treads: boxes
+    bounds: x0, y0, x1, y1 of the picture, along which run outer walls of outline_m. treads: boxes
     and the height of the floor in each; of two that overlap the later counts, elsewhere it is 0.
     """
 
     name: str
     bounds: Box
     resolution_m: float
-    walls: tuple[Box, ...]
     furniture: tuple[Box, ...]
+    walls: tuple[Box, ...] = ()
+    outline_m: float = 0.1
     discs: tuple[Disc, ...] = ()
-    unknown: tuple[Box, ...] = ()
     treads: tuple[tuple[Box, float], ...] = ()
 
 
-def _outline(bounds: Box, thickness_m: float) -> tuple[Box, ...]:
-    x0, y0, x1, y1 = bounds
-    t = thickness_m
-    return ((x0, y0, x1, y0 + t), (x0, y1 - t, x1, y1), (x0, y0, x0 + t, y1), (x1 - t, y0, x1, y1))
-
-
-_ROOM_BOUNDS = (-2.0, -2.5, 6.0, 3.5)
 ROOM = FloorPlan(
     name="room",
-    bounds=_ROOM_BOUNDS,
+    bounds=(-2.0, -2.5, 6.0, 3.5),
     resolution_m=0.025,
-    walls=_outline(_ROOM_BOUNDS, 0.1),
     furniture=(
         # Two bookcases divide the room; the 0.9 m between them is the short way at the top.
         (0.85, -0.7, 1.2, 2.0),
@@ -66,13 +58,12 @@ ROOM = FloorPlan(
     discs=((5.4, 2.9, 0.28), (0.3, -2.05, 0.2)),
 )
 
-_OFFICE_BOUNDS = (-2.0, -6.0, 14.0, 6.0)
 OFFICE = FloorPlan(
     name="office",
-    bounds=_OFFICE_BOUNDS,
+    bounds=(-2.0, -6.0, 14.0, 6.0),
     resolution_m=0.05,
+    outline_m=0.15,
     walls=(
-        *_outline(_OFFICE_BOUNDS, 0.15),
         # North side of the corridor (y 1.0), doors 1.0 m wide at x -0.2, 4.4 and 9.8.
         (-2.0, 1.0, -0.2, 1.15),
         (0.8, 1.0, 4.4, 1.15),
@@ -122,12 +113,10 @@ OFFICE = FloorPlan(
 )
 
 
-_STAIRS_BOUNDS = (-2.0, -2.5, 10.0, 2.5)
 STAIRS = FloorPlan(
     name="stairs",
-    bounds=_STAIRS_BOUNDS,
+    bounds=(-2.0, -2.5, 10.0, 2.5),
     resolution_m=0.025,
-    walls=_outline(_STAIRS_BOUNDS, 0.1),
     # Two rooms, and between them nothing but the stairs, 2.4 m wide.
     furniture=((2.0, -2.4, 6.2, -1.2), (2.0, 1.2, 6.2, 2.4)),
     # Six steps of 10 cm up, run 0.30 m, a landing of 1.2 m, and six down. Walls stand on the
@@ -137,13 +126,11 @@ STAIRS = FloorPlan(
     ),
 )
 
-_SILLS_BOUNDS = (-2.0, -2.0, 7.0, 3.0)
 SILLS = FloorPlan(
     name="sills",
-    bounds=_SILLS_BOUNDS,
+    bounds=(-2.0, -2.0, 7.0, 3.0),
     resolution_m=0.025,
     walls=(
-        *_outline(_SILLS_BOUNDS, 0.1),
         # Three rooms, with doors of 1.3 m at y -0.5 and 1.0.
         (1.5, -2.0, 1.6, -0.5),
         (1.5, 0.8, 1.6, 3.0),
@@ -161,13 +148,12 @@ SILLS = FloorPlan(
 
 
 def draw(plan: FloorPlan) -> NDArray[np.uint8]:
-    """Picture of a floor plan: white floor, black obstacles, grey 205 unknown; row 0 is the top."""
-    x0, y0, x1, y1 = plan.bounds
+    """Picture of a floor plan: white floor, black obstacles; row 0 is the top."""
+    (x0, y0, x1, y1), t = plan.bounds, plan.outline_m
     cols, rows = round((x1 - x0) / plan.resolution_m), round((y1 - y0) / plan.resolution_m)
     image = np.full((rows, cols), 254, np.uint8)
-    for box in plan.unknown:
-        _fill(image, plan, box, 205)
-    for box in (*plan.walls, *plan.furniture):
+    outer = (x0, y0, x1, y0 + t), (x0, y1 - t, x1, y1), (x0, y0, x0 + t, y1), (x1 - t, y0, x1, y1)
+    for box in (*outer, *plan.walls, *plan.furniture):
         _fill(image, plan, box, 0)
     x_m = x0 + (np.arange(cols) + 0.5) * plan.resolution_m
     y_m = y1 - (np.arange(rows) + 0.5) * plan.resolution_m

@@ -97,10 +97,7 @@ def find_map(
         metadata = replace(metadata, resolution_m=_number("resolution", resolution_m, file))
     if origin is not None:
         metadata = replace(metadata, origin=_origin(origin, file))
-    if metadata.resolution_m <= 0:
-        raise MapError(
-            f"map {file}: resolution {metadata.resolution_m:g} must be above 0 (metres per pixel)"
-        )
+    _require_above_0("resolution", metadata.resolution_m, "pixel", file)
     return metadata
 
 
@@ -165,10 +162,7 @@ def read_metadata(file: Path) -> MapMetadata:
 
 
 def _check_metadata(metadata: MapMetadata, file: Path) -> None:
-    if metadata.resolution_m <= 0:
-        raise MapError(
-            f"map {file}: resolution {metadata.resolution_m:g} must be above 0 (metres per pixel)"
-        )
+    _require_above_0("resolution", metadata.resolution_m, "pixel", file)
     if metadata.mode not in MODES:
         raise MapError(f"map {file}: mode {metadata.mode!r} must be one of {', '.join(MODES)}")
     if not 0 <= metadata.free_thresh < metadata.occupied_thresh <= 1:
@@ -193,10 +187,7 @@ def _elevation_metadata(document: dict[Any, Any], file: Path) -> dict[str, Any]:
             f"map {file}: key `elevation_scale` is missing: metres per grey value of {image}"
         )
     scale_m = _number("elevation_scale", document["elevation_scale"], file)
-    if scale_m <= 0:
-        raise MapError(
-            f"map {file}: elevation_scale {scale_m:g} must be above 0 (metres per grey value)"
-        )
+    _require_above_0("elevation_scale", scale_m, "grey value", file)
     offset_m = _number("elevation_offset", document.get("elevation_offset", 0.0), file)
     return {
         "elevation": file.parent / image,
@@ -223,6 +214,11 @@ def _read_elevation(
             f"{metadata.elevation_scale_m:g} is in metres per grey value"
         )
     return np.ascontiguousarray(heights_m[::-1])
+
+
+def _require_above_0(name: str, value_m: float, per: str, file: Path) -> None:
+    if value_m <= 0:
+        raise MapError(f"map {file}: {name} {value_m:g} must be above 0 (metres per {per})")
 
 
 def _number(name: str, value: Any, file: Path) -> float:
