@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import signal
+import functools
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,12 +13,7 @@ import pytest
 
 from app.cli import COMMANDS, main, overview
 from app.output import ExitCode
-
-ROOT = Path(__file__).resolve().parent.parent
-
-
-ROOM = str(ROOT / "maps" / "room.png")
-
+from tests.programs import ROOM, ROOT, interrupted, refusal, run_python
 
 GOAL = ("--goal", "2,1,1.57")
 
@@ -28,17 +21,7 @@ GOAL = ("--goal", "2,1,1.57")
 @pytest.fixture
 def refused(capsys):
     """Runs a command line that must be refused; returns its one line."""
-
-    def run(*words: str) -> str:
-        code = main(words)
-        out, err = capsys.readouterr()
-        assert code == ExitCode.BAD_INPUT
-        assert out == ""
-        assert err.startswith("error: ")
-        assert err.count("\n") == 1
-        return err
-
-    return run
+    return functools.partial(refusal, capsys)
 
 
 @pytest.fixture
@@ -120,12 +103,8 @@ def test_a_map_without_yaml_is_read_with_its_resolution(write_map, tmp_path):
     [
         ({"resolution": ...}, "resolution"),
         ({"resolution": "wide"}, "'wide'"),
-        ({"resolution": 0}, "above 0"),
         ({"origin": 3}, "origin 3"),
-        ({"origin": ["a", 0, 0]}, "'a'"),
         ({"negate": "maybe"}, "'maybe'"),
-        ({"mode": "colour"}, "'colour'"),
-        ({"image": "[1, 2]"}, "image"),
         ({"image": "gone.png"}, "gone.png"),
     ],
 )
@@ -208,13 +187,8 @@ def test_the_overview_names_every_command(capsys):
     assert all(f"\n  {name} " in overview() for name in COMMANDS)
 
 
-def run_program(*words: str, **options) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *options.pop("python", ()), str(ROOT / "main.py"), *words]
-    return subprocess.run(command, capture_output=True, text=True, check=False, **options)
-
-
 def test_planning_loads_neither_torch_nor_mujoco():
-    done = run_program("plan", "--map", ROOM, *GOAL, python=("-X", "importtime"))
+    done = run_python("-X", "importtime", "main.py", "plan", "--map", ROOM, *GOAL)
     assert done.returncode == ExitCode.DONE
     loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
     assert "planner.planner" in loaded
@@ -222,21 +196,36 @@ def test_planning_loads_neither_torch_nor_mujoco():
     assert loaded & heavy == set()
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_loads_no_simulator(name):
-    done = run_program(*name.split(), "--help", python=("-X", "importtime"))
-    assert done.returncode == ExitCode.DONE
-    assert "--robot" in done.stdout
-    loaded = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert loaded & {"torch", "mujoco", "numba"} == set()
+HELP = """
+import contextlib, io, sys
+from app.cli import COMMANDS, main
+for name in COMMANDS:
+    told = io.StringIO()
+    with contextlib.redirect_stdout(told):
+        try:
+            main([*name.split(), "--help"])
+        except SystemExit as left:
+            assert left.code == 0
+    assert "--robot" in told.getvalue(), name
+    print(name, *{"torch", "mujoco", "numba"} & sys.modules.keys(), sep=" loads ")
+"""
 
 
+def test_help_loads_no_simulator():
+    done = run_python("-c", HELP)
+    assert done.returncode == ExitCode.DONE, done.stderr
+    assert done.stdout.splitlines() == list(COMMANDS)
+
+
+@pytest.mark.slow
 def test_it_runs_from_anywhere(tmp_path):
-    done = run_program("plan", "--map", ROOM, *GOAL, "--out", "plan.json", cwd=tmp_path)
+    words = (ROOT / "main.py", "plan", "--map", ROOM, *GOAL, "--out", "plan.json")
+    done = run_python(*words, cwd=tmp_path)
     assert done.returncode == ExitCode.DONE, done.stderr
     assert (tmp_path / "plan.json").is_file()
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_early_is_no_trouble():
     command = f"'{sys.executable}' '{ROOT}/main.py' plan --map '{ROOM}' --goal 2,1,1.57 --json"
     done = subprocess.run(
@@ -261,19 +250,8 @@ sys.exit(main(sys.argv[1:]))
 
 
 def test_ctrl_c_ends_in_one_line():
-    words = ["plan", "--map", ROOM, *GOAL]
-    with subprocess.Popen(
-        [sys.executable, "-c", STALL, *words],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        # A shell that runs the tests in the background lets its children ignore Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    ) as process:
-        assert process.stdout is not None
+    def stalled(process):
         assert process.stdout.readline() == "stalled\n"
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=300)
-    assert (process.returncode, err) == (ExitCode.INTERRUPTED, "interrupted\n")
+
+    code, lines = interrupted("-c", STALL, "plan", "--map", ROOM, *GOAL, when=stalled)
+    assert (code, lines) == (ExitCode.INTERRUPTED, ["interrupted"])

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
-import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -16,8 +13,8 @@ from app.commands.train import TrainOptions, chosen_curriculum
 from controller.checkpoint import TrainingError
 from planner.corpus.corpus import MANIFEST, PLANS, corpus_of
 from sim.robots import get_robot, robot_names
+from tests.programs import refusal, run_python
 
-ROOT = Path(__file__).resolve().parent.parent
 WITH_H1 = pytest.mark.skipif(
     "h1" not in robot_names(), reason="its model comes with the extra `unitree`"
 )
@@ -48,14 +45,13 @@ def trainers(monkeypatch):
     return Pretended.made
 
 
+@pytest.mark.slow
 def test_run_from_nothing_makes_the_corpus_that_dataset_makes(tmp_path, trainers, monkeypatch):
     out, other = tmp_path / "run", tmp_path / "corpus"
     assert main(["train", "--out", str(out), "--workers", "1"]) == 0
     wide = ["--goal-x=-1,3", "--goal-y=-2,2", "--goal-yaw=-3.14,3.14", "--obstacles", "4"]
-    assert (
-        main(["dataset", "--count", "2", *wide, "--refine", "--workers", "1", "--out", str(other)])
-        == 0
-    )
+    words = ["dataset", "--count", "2", *wide, "--refine", "--workers", "1", "--out", str(other)]
+    assert main(words) == 0
     for name in (PLANS, MANIFEST):
         assert (out / "corpus" / name).read_bytes() == (other / name).read_bytes()
     assert len(trainers[0].planned.offsets) == 3
@@ -72,23 +68,14 @@ def test_run_from_nothing_makes_the_corpus_that_dataset_makes(tmp_path, trainers
     assert not (tmp_path / "b" / "corpus").exists()
 
 
-def refusal(words, capsys):
-    """The one line of an error in the command `train`."""
-    assert main(["train", *map(str, words)]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
-    return error
-
-
 def test_folder_to_resume_from_must_hold_a_run(tmp_path, trainers, capsys):
     missing = tmp_path / "typo"
-    assert "holds no checkpoint.pt" in refusal(["--resume", "--out", missing], capsys)
+    assert "holds no checkpoint.pt" in refusal(capsys, "train", "--resume", "--out", missing)
     assert not missing.exists()
     (tmp_path / "checkpoint.pt").touch()
-    assert "holds a run already; add --resume" in refusal(["--out", tmp_path], capsys)
+    assert "holds a run already; add --resume" in refusal(capsys, "train", "--out", tmp_path)
     # A run with a corpus from elsewhere: making another one would train on something else.
-    error = refusal(["--resume", "--out", tmp_path], capsys)
+    error = refusal(capsys, "train", "--resume", "--out", tmp_path)
     assert "has no corpus of its own: name the one that it began with" in error
     assert not (tmp_path / "corpus").exists()
     assert trainers == []
@@ -103,7 +90,7 @@ def test_checkpoint_that_cannot_be_taken_up_is_told_in_one_line(
     assert main(["train", "--out", str(tmp_path), "--workers", "1"]) == 0
     capsys.readouterr()
     monkeypatch.setattr(Pretended, "resume", refuse)
-    error = refusal(["--resume", "--out", tmp_path], capsys)
+    error = refusal(capsys, "train", "--resume", "--out", tmp_path)
     assert error == "error: checkpoint.pt is from another layout\n"
 
 
@@ -113,16 +100,16 @@ def test_corpus_of_another_robot_is_refused(tmp_path, trainers, capsys):
     assert main(["dataset", "--count", "1", "--out", str(plans)]) == 0
     capsys.readouterr()
     words = ["--robot", "hrp5p", "--corpus", plans, "--out", tmp_path / "run"]
-    assert "the plans are for robot 'jvrc1', not for 'hrp5p'" in refusal(words, capsys)
+    assert "the plans are for robot 'jvrc1', not for 'hrp5p'" in refusal(capsys, "train", *words)
     corpus_of([], "hrp5p").save(plans, {})
-    assert "no plan has a step" in refusal(words, capsys)
+    assert "no plan has a step" in refusal(capsys, "train", *words)
     (plans / PLANS).write_bytes(b"other")
-    assert "is not the file that manifest.json was written for" in refusal(words, capsys)
+    assert "is not the file that manifest.json was written for" in refusal(capsys, "train", *words)
 
 
 def test_too_little_disk_is_told_before_any_work(tmp_path, trainers, capsys, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=3_000_000))
-    error = refusal(["--out", tmp_path / "run"], capsys)
+    error = refusal(capsys, "train", "--out", tmp_path / "run")
     assert "too little disk: 3 MB are free" in error
     assert "a run needs 50 MB" in error
     assert not (tmp_path / "run" / "corpus").exists()
@@ -154,7 +141,7 @@ def test_disk_that_fills_up_ends_the_run_in_one_line(tmp_path, trainers, capsys,
     ],
 )
 def test_impossible_ranges_are_refused(words, told, tmp_path, trainers, capsys):
-    assert told in refusal([*words, "--out", tmp_path / "run"], capsys)
+    assert told in refusal(capsys, "train", *words, "--out", tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -198,6 +185,7 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -206,13 +194,7 @@ sys.exit(main(sys.argv[1:]))
     ],
 )
 def test_only_training_needs_torch(words, code, said, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_LEARNER, *words, "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=ROOT,
-    )
+    done = run_python("-c", WITHOUT_LEARNER, *words, "--out", tmp_path)
     assert done.returncode == code, done.stderr
     assert said in done.stdout + done.stderr
     assert "Traceback" not in done.stderr

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -28,9 +24,8 @@ from planner.options import PlannerOptions
 from planner.robot_model import StepModel
 from planner.verify import violations
 from sim.robots import get_robot, robot_names
+from tests.programs import ROOM, ROOT, interrupted, picture_at, refusal
 
-ROOT = Path(__file__).resolve().parent.parent
-ROOM = str(ROOT / "maps" / "room.png")
 MODEL = get_robot("jvrc1").step_model
 
 
@@ -73,6 +68,7 @@ def test_the_manifest_tells_what_made_the_plans(small):
     corpus.require_fit("jvrc1", MODEL)
 
 
+@pytest.mark.slow
 def test_the_same_bytes_whatever_the_workers(tmp_path):
     words = ("--count", "9", "--seed", "5", "--obstacles", "2", "--goal-x", "0,3")
     one, two = tmp_path / "one", tmp_path / "two"
@@ -84,13 +80,12 @@ def test_the_same_bytes_whatever_the_workers(tmp_path):
     for file in files:
         assert (one / file).read_bytes() == (two / file).read_bytes(), file
     for file in ("plans.png", "steps.png"):
-        picture = cv2.imread(str(one / file))
-        assert picture is not None
+        picture = picture_at(one / file)
         assert min(picture.shape[:2]) > 400
         assert picture.std() > 5
 
 
-@pytest.mark.parametrize("planner", ["ara", "rrtconnect"])
+@pytest.mark.parametrize("planner", ["ara", pytest.param("rrtconnect", marks=pytest.mark.slow)])
 def test_a_plan_does_not_depend_on_those_before_it(planner):
     floor = floor_around([(0.0, -1.0, 0.0), (2.0, 1.0, 0.0)], MODEL)
     wanted = RandomPlans(
@@ -208,6 +203,7 @@ def test_a_corpus_on_a_map(tmp_path, capsys):
     assert len(Corpus.load(tmp_path)) == 1
 
 
+@pytest.mark.slow
 def test_a_corpus_on_stairs(tmp_path, capsys):
     stairs = str(ROOT / "maps" / "stairs.yaml")
     # From the floor, up or not, as the map has it.
@@ -255,18 +251,12 @@ def test_the_text_is_in_the_frame_of_the_start(small):
             np.testing.assert_allclose(a, b, atol=1e-9)
 
 
-def refusal(capsys, *words: str) -> str:
-    assert main(("dataset", *words)) == ExitCode.BAD_INPUT
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    return str(err)
-
-
+@pytest.mark.slow
 def test_what_can_never_be_drawn_is_told_with_counts(tmp_path, capsys):
     out = tmp_path / "new"
     words = ("--out", str(out), "--workers", "1", "--map", ROOM, "--start", "0,0,0")
     # Within a bookcase.
-    told = refusal(capsys, *words, "--goal-x", "0.9,1.1", "--goal-y", "0,1")
+    told = refusal(capsys, "dataset", *words, "--goal-x", "0.9,1.1", "--goal-y", "0,1")
     assert "plan 0 cannot be drawn: 1000 of 1000 draws" in told
     assert "(1000 goal_blocked)" in told
     assert "goal: the left foot at " in told
@@ -275,15 +265,17 @@ def test_what_can_never_be_drawn_is_told_with_counts(tmp_path, capsys):
 
 def test_bad_input_is_told_in_one_line(tmp_path, capsys):
     out = ("--out", str(tmp_path / "new"))
-    assert "'2,1' is not a range" in refusal(capsys, *out, "--goal-x", "2,1")
-    assert "--count: '0' is not" in refusal(capsys, *out, "--count", "0")
-    assert "nowhere.png" in refusal(capsys, *out, "--map", "nowhere.png")
-    assert "'robbie'" in refusal(capsys, *out, "--robot", "robbie")
-    assert "give --map" in refusal(capsys, *out, "--resolution", "0.05")
+    assert "'2,1' is not a range" in refusal(capsys, "dataset", *out, "--goal-x", "2,1")
+    assert "--count: '0' is not" in refusal(capsys, "dataset", *out, "--count", "0")
+    assert "nowhere.png" in refusal(capsys, "dataset", *out, "--map", "nowhere.png")
+    assert "'robbie'" in refusal(capsys, "dataset", *out, "--robot", "robbie")
+    assert "give --map" in refusal(capsys, "dataset", *out, "--resolution", "0.05")
     (tmp_path / "file").touch()
-    assert "cannot make the folder" in refusal(capsys, "--out", str(tmp_path / "file" / "new"))
-    assert "it is not a folder" in refusal(capsys, "check", str(tmp_path / "new"))
-    assert "manifest.json: No such file" in refusal(capsys, "check", str(tmp_path))
+    assert "cannot make the folder" in refusal(
+        capsys, "dataset", "--out", tmp_path / "file" / "new"
+    )
+    assert "it is not a folder" in refusal(capsys, "dataset", "check", tmp_path / "new")
+    assert "manifest.json: No such file" in refusal(capsys, "dataset", "check", tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file"]
 
 
@@ -302,27 +294,22 @@ def test_a_manifest_that_does_not_tell_enough(small, tmp_path, capsys, change, t
     manifest = {key: value for key, value in manifest.items() if value is not ...}
     (tmp_path / "plans.npz").write_bytes((small / "plans.npz").read_bytes())
     (tmp_path / "manifest.json").write_text(json.dumps(manifest))
-    assert told in refusal(capsys, "check", str(tmp_path))
+    assert told in refusal(capsys, "dataset", "check", tmp_path)
 
 
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     out = tmp_path / "new"
     words = ["dataset", "--count", "100000", "--workers", "2", "--out", str(out)]
-    with subprocess.Popen(
-        [sys.executable, str(ROOT / "main.py"), *words],
-        stderr=subprocess.PIPE,
-        text=True,
-        # A shell that runs the tests in the background lets its children ignore Ctrl-C.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    ) as process:
+
+    def begun(process):
         while not out.exists() and process.poll() is None:
             time.sleep(0.05)
         time.sleep(1.0)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=300)
-    assert process.returncode == ExitCode.INTERRUPTED
-    assert err.splitlines()[-1] == "interrupted"
-    assert "Traceback" not in err
+
+    code, lines = interrupted("main.py", *words, when=begun)
+    assert code == ExitCode.INTERRUPTED
+    assert lines[-1] == "interrupted"
+    assert not any("Traceback" in line for line in lines)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 
-import cv2
 import numpy as np
 import pytest
 
@@ -25,6 +24,7 @@ from controller.policy import POLICY_FOLDER, load_policy
 from controller.tracking_limits import limits_from, load_tracking_limits, tracking_limits_path
 from planner.robot_model import FootShape
 from sim.robots import get_robot
+from tests.programs import picture_at, refusal
 
 ROBOT = get_robot("jvrc1")
 WORDS = ["evaluate", "--episodes", "1", "--workers", "2"]
@@ -108,7 +108,7 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     text = (tmp_path / "report.md").read_text()
     for name in FIGURES.keys() - {"beside.png"}:
         assert f"]({name})" in text
-        assert cv2.imread(str(tmp_path / name)) is not None
+        picture_at(tmp_path / name)
     # One walk does not tell 99 %: what is stored beside the weights stays as it is.
     assert (stored.read_bytes() if stored.exists() else None) == before
 
@@ -246,18 +246,16 @@ def test_another_policy_beside(tmp_path, capsys):
     assert "--reward quiet" in text
     write_figures({"beside": mine["beside"], "modes": mine["modes"]}, tmp_path)
     assert "](beside.png)" in text
-    assert cv2.imread(str(tmp_path / "beside.png")) is not None
+    picture_at(tmp_path / "beside.png")
     words = [*WORDS, "--out", str(tmp_path / "out"), "--beside"]
-    assert main([*words, str(tmp_path)]) == 2
-    assert "cannot be read (No such file" in capsys.readouterr().err
-    assert main([*words, str(folder), "--robot", "hrp5p"]) == 2
-    assert "is of jvrc1, not of hrp5p" in capsys.readouterr().err
+    assert "cannot be read (No such file" in refusal(capsys, *words, tmp_path)
+    told = refusal(capsys, *words, folder, "--robot", "hrp5p")
+    assert "is of jvrc1, not of hrp5p" in told
     (folder / "evaluation.json").write_text(json.dumps(other | {"modes": []}))
-    assert main([*words, str(folder)]) == 2
-    assert "has no modes; measure it" in capsys.readouterr().err
+    assert "has no modes; measure it" in refusal(capsys, *words, folder)
     (folder / "evaluation.json").write_text("{}")
-    assert main([*words, str(folder)]) == 2
-    assert f"is not an evaluation of format {evaluate.FORMAT}" in capsys.readouterr().err
+    told = refusal(capsys, *words, folder)
+    assert f"is not an evaluation of format {evaluate.FORMAT}" in told
 
 
 def test_the_gait_stands_beside_the_papers_peaks_of_the_same_robot():
@@ -307,8 +305,8 @@ def test_the_gait_stands_beside_the_papers_peaks_of_the_same_robot():
 
 def test_sections_are_chosen_by_name(capsys, tmp_path):
     assert tuple(SECTIONS) == SECTION_NAMES
-    assert main([*WORDS, "--sections", "modes,walks", "--out", str(tmp_path)]) == 2
-    assert "'walks' is not one of modes, stairs" in capsys.readouterr().err
+    told = refusal(capsys, *WORDS, "--sections", "modes,walks", "--out", tmp_path)
+    assert "'walks' is not one of modes, stairs" in told
 
 
 def test_names_of_joints_and_tables():

@@ -19,6 +19,7 @@ from controller.policy import POLICY_FOLDER, load_policy
 from controller.walker import Walker
 from sim.robots import get_robot
 from sim.scene import build_scene
+from tests.programs import refusal
 
 JVRC1 = str(POLICY_FOLDER / "jvrc1.safetensors")
 
@@ -113,17 +114,13 @@ def test_json_is_all_on_standard_output(tmp_path, capsys):
 )
 def test_wrong_input_is_told_in_one_line(words, says, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert main(["export", *words]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert says in error
+    assert says in refusal(capsys, "export", *words)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_without_onnx_one_line_says_what_to_install(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnx", None)
-    assert main(["export", "--out", str(tmp_path / "p.onnx")]) == 2
-    error = capsys.readouterr().err
+    error = refusal(capsys, "export", "--out", tmp_path / "p.onnx")
     assert error == ("error: export needs the package onnx: python -m pip install -e '.[export]'\n")
     assert list(tmp_path.iterdir()) == []
 
@@ -138,7 +135,7 @@ def test_a_file_that_acts_otherwise_never_gets_its_name(tmp_path, monkeypatch, c
         return to_onnx(replace(policy, layers=layers), robot)
 
     monkeypatch.setattr("controller.onnx_export.to_onnx", wrong)
-    assert main(["export", "--out", str(path)]) == 2
-    assert "differs from its original by 0.001 rad" in capsys.readouterr().err
+    told = refusal(capsys, "export", "--out", path)
+    assert "differs from its original by 0.001 rad" in told
     assert path.read_bytes() == b"what was there"
     assert list(tmp_path.iterdir()) == [path]

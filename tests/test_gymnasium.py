@@ -5,12 +5,8 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-import subprocess
-import sys
 import warnings
-from pathlib import Path
 
-import cv2
 import gymnasium
 import numpy as np
 import pytest
@@ -24,8 +20,8 @@ from controller.gym_env import WalkVectorEnv, environment_id
 from controller.gym_render import COLOURS
 from controller.policy import load_policy
 from planner.robot_model import Side
-from sim.gl import NO_GL
 from sim.robots import get_robot, robot_names
+from tests.programs import ROOT, drawn_by, picture_at, run_python
 
 JVRC1 = "Footfall/Jvrc1-v0"
 TICKS = 12
@@ -195,11 +191,11 @@ def test_actions_beyond_their_bounds_act_as_those_at_the_bounds():
 
 # The code in docs/gymnasium.md, run as it stands.
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "gymnasium.md").read_text(encoding="utf-8")
 PIECES = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("stable_baselines3") is None,
     reason="stable-baselines3 is not installed: it comes with the extra `test`",
@@ -208,9 +204,7 @@ PIECES = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 def test_stable_baselines3_learns_on_it_for_a_few_updates(piece):
     assert ".learn(total_timesteps=" in piece
     code = f"{piece}\nprint(learner.num_timesteps, learner._n_updates)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    done = run_python("-c", code)
     assert done.returncode == 0, done.stderr
     steps, updates = map(int, done.stdout.split())
     assert steps >= 128
@@ -267,22 +261,11 @@ def pictures(tmp_path_factory) -> np.ndarray:
     path = tmp_path_factory.mktemp("drawn") / "all.png"
     # MuJoCo is not told of a GL library here, as with somebody who has set nothing.
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
-    drawing = subprocess.run(
-        [sys.executable, "-c", DRAW, str(path)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).resolve().parent.parent,
-        env=environment,
-    )
-    if drawing.returncode == 1 and drawing.stderr.strip() == NO_GL:
-        pytest.skip(NO_GL)
-    assert drawing.returncode == 0, drawing.stderr
-    picture = cv2.imread(str(path))
-    assert picture is not None
-    return picture.reshape(-1, 480, 640, 3)
+    drawn_by("-c", DRAW, path, env=environment)
+    return picture_at(path).reshape(-1, 480, 640, 3)
 
 
+@pytest.mark.slow
 def test_a_picture_shows_the_robot_and_both_steps(pictures):
     assert len(pictures) == 6
     standing = pictures[0].astype(int)
@@ -291,16 +274,19 @@ def test_a_picture_shows_the_robot_and_both_steps(pictures):
         assert (np.abs(standing - colour).max(axis=2) < 40).sum() > 20, side
 
 
+@pytest.mark.slow
 def test_the_last_picture_of_an_episode_shows_how_it_ended(pictures):
     standing, fallen, again = pictures[:3].astype(int)
     assert np.abs(standing - again).max() <= 2  # software GL may round a pixel otherwise
     assert (np.abs(standing - fallen).max(axis=2) > 40).sum() > 1000
 
 
+@pytest.mark.slow
 def test_every_robot_of_a_vector_is_drawn(pictures):
     assert (pictures[3] != pictures[4]).any()
 
 
+@pytest.mark.slow
 def test_stairs_are_drawn(pictures):
     # The treads' colour in light, blue green red; nothing else is brown.
     blue, green, red = pictures[5].astype(int).transpose(2, 0, 1)

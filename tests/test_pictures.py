@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import pytest
 
@@ -19,12 +18,7 @@ from app.pictures.canvas import (
     draw_plan,
     sole_corners,
 )
-from app.pictures.plan_pictures import (
-    Swatch,
-    walk_picture,
-    with_legend,
-    write_path_picture,
-)
+from app.pictures.plan_pictures import Swatch, plan_picture, walk_picture, with_legend
 from maps.grid import Cell, OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, feet_at
@@ -33,6 +27,10 @@ from planner.robot_model import FootShape, Side
 from sim.robots import get_robot
 from tests.planner_floor import FLOOR, small_plan
 from tests.planner_oracle import small_model
+from tests.programs import picture_at
+
+UNREFINED = PlannerOptions(refine=False)
+MODEL = get_robot("jvrc1").step_model
 
 
 @pytest.fixture(scope="module")
@@ -57,11 +55,7 @@ def test_a_picture_shows_feet_where_they_are(plan):
 def test_a_large_map_is_cropped_to_the_plan():
     grid = OccupancyGrid(cells=np.zeros((200, 400), np.uint8), resolution_m=0.1)
     plan = plan_footsteps(
-        grid,
-        small_model(),
-        start=(10, 10, 0),
-        goal=(11, 10, 0),
-        options=PlannerOptions(refine=False),
+        grid, small_model(), start=(10, 10, 0), goal=(11, 10, 0), options=UNREFINED
     )
     image = draw_plan(plan, grid, small_model())
     # About 1 m and 1.5 m on each side wide, 0.2 m and the same high.
@@ -71,11 +65,7 @@ def test_a_large_map_is_cropped_to_the_plan():
 def test_a_failed_plan_and_a_tiny_map_can_be_drawn():
     grid = OccupancyGrid(cells=np.full((1, 3), Cell.UNKNOWN, np.uint8), resolution_m=0.05)
     plan = plan_footsteps(
-        grid,
-        small_model(),
-        start=(0.1, 0.02, 0),
-        goal=(9, 9, 0),
-        options=PlannerOptions(refine=False),
+        grid, small_model(), start=(0.1, 0.02, 0), goal=(9, 9, 0), options=UNREFINED
     )
     assert plan.status is PlanStatus.OFF_MAP
     assert draw_plan(plan, grid, small_model()).ndim == 3
@@ -98,12 +88,6 @@ def test_a_canvas_and_its_map_agree_on_pixels():
     np.testing.assert_allclose(pixels[:, 1], (19.5 - cells[:, 0]) * size - 0.5, atol=0.1)
 
 
-MODEL = get_robot("jvrc1").step_model
-
-
-NOBODY = np.zeros((0, 2))
-
-
 def free_map(origin: tuple[float, float, float] = (-2.0, -1.0, 0.0)) -> OccupancyGrid:
     """A free map of 4 x 2 m."""
     cells = np.full((20, 40), Cell.FREE, np.uint8)
@@ -120,6 +104,17 @@ def plan_of(*poses: tuple[float, float, float, float]) -> FootstepPlan:
         pose_world=np.array(poses).reshape(-1, 4),
         robot="jvrc1",
         map="maps/test.png",
+    )
+
+
+def walked_picture(grid, plan, placed_world, body_xy_world) -> np.ndarray:
+    return walk_picture(
+        grid,
+        MODEL,
+        plan,
+        placed_side=plan.side,
+        placed_world=placed_world,
+        body_xy_world=np.array(body_xy_world),
     )
 
 
@@ -143,9 +138,7 @@ def test_feet_are_drawn_where_they_came_down(origin):
         for y_m in (0.7, 0.3)
     )
     plan = plan_of(*planned)
-    picture = walk_picture(
-        grid, MODEL, plan, placed_side=plan.side, placed_world=placed, body_xy_world=NOBODY
-    )
+    picture = walked_picture(grid, plan, placed, np.zeros((0, 2)))
     for number, colour in enumerate((RIGHT, LEFT)):
         assert is_like(colour_at(picture, grid, *placed[number, :2]), colour)
         # A planned foot is an outline: paper in the middle, dark at its front edge.
@@ -157,15 +150,7 @@ def test_feet_are_drawn_where_they_came_down(origin):
 def test_the_path_of_the_body_is_drawn():
     grid = free_map()
     plan = plan_of()
-    body_xy_world = np.array([[0.2, -0.8], [1.8, -0.8]])
-    picture = walk_picture(
-        grid,
-        MODEL,
-        plan,
-        placed_side=plan.side,
-        placed_world=plan.pose_world,
-        body_xy_world=body_xy_world,
-    )
+    picture = walked_picture(grid, plan, plan.pose_world, [[0.2, -0.8], [1.8, -0.8]])
     assert tuple(colour_at(picture, grid, 1.2, -0.8)) == BODY
     assert tuple(colour_at(picture, grid, 0.1, -0.8)) != BODY
 
@@ -181,14 +166,8 @@ def test_a_large_map_is_cut_to_the_surroundings_of_the_walk():
     cells = np.zeros((400, 2000), np.uint8)
     grid = OccupancyGrid(cells=cells, resolution_m=0.05, origin=(-50.0, -10.0, 0.0))
     plan = plan_of()
-    picture = walk_picture(
-        grid,
-        MODEL,
-        plan,
-        placed_side=plan.side,
-        placed_world=plan.pose_world,
-        body_xy_world=np.array([[-1.5, 0.5], [0.0, 1.5], [1.5, 0.5]]),
-    )
+    body_xy_world = [[-1.5, 0.5], [0.0, 1.5], [1.5, 0.5]]
+    picture = walked_picture(grid, plan, plan.pose_world, body_xy_world)
     # 3 m of walk with 1.5 m on either side, at 240 pixels per metre.
     assert picture.shape[1] == 6 * 240
     assert 4 * 240 < picture.shape[0] < 4 * 240 + 100
@@ -196,7 +175,7 @@ def test_a_large_map_is_cut_to_the_surroundings_of_the_walk():
 
 @pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")
 @pytest.mark.parametrize("far_m", [50.0, 1e12, 1e300])
-def test_a_goal_off_the_map_does_no_harm(tmp_path, far_m):
+def test_a_goal_off_the_map_does_no_harm(far_m):
     plan = FootstepPlan(
         start_feet_world=feet_at((0, 0, 0), 0.2),
         start=(0, 0, 0),
@@ -204,10 +183,7 @@ def test_a_goal_off_the_map_does_no_harm(tmp_path, far_m):
         status=PlanStatus.OFF_MAP,
         reason=f"goal {far_m:g},{-far_m:g} is off the map " * 9,
     )
-    write_path_picture(tmp_path / "path.png", free_map(), MODEL, plan)
-    picture = cv2.imread(str(tmp_path / "path.png"))
-    assert picture is not None
-    assert picture.shape[1] == 960
+    assert plan_picture(free_map(), MODEL, plan).shape[1] == 960
 
 
 def test_the_legend_breaks_into_rows_and_widens_narrow_pictures():
@@ -233,6 +209,4 @@ def test_an_ending_that_is_no_image_is_refused(tmp_path):
 
 def test_pictures_are_written_blue_green_red(tmp_path):
     write_picture(tmp_path / "a.png", np.full((2, 2, 3), (1, 2, 3), np.uint8))
-    picture = cv2.imread(str(tmp_path / "a.png"))
-    assert picture is not None
-    assert tuple(picture[0, 0]) == (1, 2, 3)
+    assert tuple(picture_at(tmp_path / "a.png")[0, 0]) == (1, 2, 3)

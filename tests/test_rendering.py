@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
-import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -28,10 +26,11 @@ from app.pictures.rendering import (
 )
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import FootShape, Side
-from sim.gl import NO_GL, NoGlError, prepare_gl
+from sim.gl import NoGlError, prepare_gl
 from sim.robot import VISUAL_GROUP
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
+from tests.programs import drawn_by, picture_at, run_python
 
 
 def recording_of(xy_yaw: np.ndarray) -> Recording:
@@ -170,8 +169,7 @@ def test_the_way_that_was_asked_for_is_tried_first(monkeypatch):
 def test_mujoco_can_be_imported_whatever_the_variable_says():
     code = "from sim.gl import switch_gl_off; switch_gl_off(); import mujoco"
     environment = {**os.environ, "MUJOCO_GL": "no such library"}
-    root = Path(__file__).resolve().parent.parent
-    subprocess.run([sys.executable, "-c", code], env=environment, cwd=root, check=True)
+    assert run_python("-c", code, env=environment).returncode == 0
 
 
 DRAW = """
@@ -207,19 +205,9 @@ print(write_film(folder / "film.mp4", model, recording, width=160, height=120))
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
-    """Folder with a strip and a film; drawn apart, as MuJoCo reads MUJOCO_GL only once."""
+    """Folder with a strip and a film."""
     folder = tmp_path_factory.mktemp("drawn")
-    drawing = subprocess.run(
-        [sys.executable, "-c", DRAW, str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=Path(__file__).resolve().parent.parent,
-    )
-    if drawing.returncode == 1 and drawing.stderr.strip() == NO_GL:
-        pytest.skip(NO_GL)
-    assert drawing.returncode == 0, drawing.stderr
-    assert drawing.stdout.split() == ["41"]
+    assert drawn_by("-c", DRAW, folder).split() == ["41"]
     return folder
 
 
@@ -229,8 +217,7 @@ def is_red(picture: np.ndarray) -> np.ndarray:
 
 
 def test_a_strip_shows_the_robot_in_every_tile_and_through_walls(drawn):
-    strip = cv2.imread(str(drawn / "strip.png"))
-    assert strip is not None
+    strip = picture_at(drawn / "strip.png")
     assert strip.shape == (80, 400, 3)
     for tile_at in range(0, 400, 100):
         # The camera follows: the robot is in the middle of each tile, also behind the wall.
@@ -318,31 +305,15 @@ def test_they_lie_on_the_ground_in_the_colour_of_their_foot():
     assert full.ngeom == 1
 
 
-ROOT = Path(__file__).resolve().parent.parent
+def portrait(path: Path, *words: str) -> np.ndarray:
+    drawn_by("-m", "app.pictures.portrait", "--robot", "hrp5p", "--image", path, *words)
+    return picture_at(path)
 
 
-def draw(path: Path, *words: str) -> np.ndarray:
-    command = [
-        sys.executable,
-        "-m",
-        "app.pictures.portrait",
-        "--robot",
-        "hrp5p",
-        "--image",
-        str(path),
-    ]
-    done = subprocess.run([*command, *words], cwd=ROOT, capture_output=True, text=True, check=False)
-    if done.stderr.strip() == f"error: {NO_GL}":
-        pytest.skip(NO_GL)
-    assert done.returncode == 0, done.stderr
-    picture = cv2.imread(str(path))
-    assert picture is not None
-    return picture
-
-
+@pytest.mark.slow
 def test_a_portrait_shows_the_robot_dressed_or_as_it_collides(tmp_path):
-    dressed = draw(tmp_path / "dressed.png")
-    shapes = draw(tmp_path / "shapes.png", "--shapes")
+    dressed = portrait(tmp_path / "dressed.png")
+    shapes = portrait(tmp_path / "shapes.png", "--shapes")
     assert dressed.shape == shapes.shape == (TILE_HEIGHT, TILE_WIDTH * len(VIEWS_DEG), 3)
     # The accents are orange; sky, floor and bare shapes have no such colour.
     for picture, coloured in ((dressed, True), (shapes, False)):
