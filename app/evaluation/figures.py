@@ -28,13 +28,15 @@ UP, DOWN = THIS, OTHER = "#0b7a75", "#c8553d"
 
 def write_figures(document: Document, folder: Path) -> None:
     """Draw every figure whose section was measured."""
-    for name, (section, draw) in FIGURES.items():
+    for name, (section, size, draw) in FIGURES.items():
         if document.get(section):
+            figure = Figure(figsize=size, layout="constrained")
+            draw(document, figure)
             with replacing(folder / name) as temporary:
-                draw(document).savefig(temporary, dpi=120)
+                figure.savefig(temporary, dpi=120)
 
 
-def draw_limits(document: Document) -> Figure:
+def draw_limits(document: Document, figure: Figure) -> None:
     """A column for each turn per step: success above, foot error below, over forward and sideways.
 
     The frame is the cut through the limits in force, where that turn lies within them.
@@ -43,7 +45,7 @@ def draw_limits(document: Document) -> Figure:
     in_force = limits["measured"]["limits"] if limits["measured"] else None
     kinds = limits["map"]["kinds"]
     turns = sorted({kind["yaw_rad"] for kind in kinds})
-    figure = Figure(figsize=(2.1 * len(turns) + 1.2, 4.6), layout="constrained")
+    figure.set_size_inches(2.1 * len(turns) + 1.2, 4.6)
     panels = figure.subplots(2, len(turns), sharex=True, sharey=True, squeeze=False)
     errors = [100 * kind["error_m_p95"] for kind in kinds if kind["error_m_p95"] is not None]
     rows = (
@@ -62,7 +64,6 @@ def draw_limits(document: Document) -> Figure:
     for column, turn in enumerate(turns):
         panels[0, column].set_title(f"turn {math.degrees(turn):.0f}°", fontsize=9)
         panels[1, column].set_xlabel("forward, cm")
-    return figure
 
 
 def _squares(
@@ -113,11 +114,10 @@ def _frame(axes: Axes, limits: Document | None, turn: float) -> None:
     axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, linewidth=1.5))
 
 
-def draw_beside(document: Document) -> Figure:
+def draw_beside(document: Document, figure: Figure) -> None:
     """95th percentiles of both policies' errors in place and heading, for all modes with steps."""
     both = [pair for pair in both_rows(document) if all(row["landings"] for row in pair)]
     places = np.arange(len(both))
-    figure = Figure(figsize=(9, 4), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     errors = (
         ("error_m_p95", 100.0, "foot error, 95th percentile, cm"),
@@ -133,7 +133,6 @@ def draw_beside(document: Document) -> Figure:
     panels[0].set_yticks(places, [mine["mode"] for mine, _ in both])
     panels[0].invert_yaxis()
     panels[1].legend(frameon=False)
-    return figure
 
 
 def _plain(axes: Axes, **settings: Any) -> None:
@@ -143,9 +142,8 @@ def _plain(axes: Axes, **settings: Any) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def draw_errors(document: Document) -> Figure:
+def draw_errors(document: Document, figure: Figure) -> None:
     """Cumulative distribution of the foot error of every mode that takes steps."""
-    figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     largest_cm = 1.0
     for row in document["modes"]:
@@ -162,12 +160,10 @@ def draw_errors(document: Document) -> Figure:
         ylim=(0, 1),
     )
     axes.legend(frameon=False, fontsize=8)
-    return figure
 
 
-def draw_stairs(document: Document) -> Figure:
+def draw_stairs(document: Document, figure: Figure) -> None:
     """Success and episode length over the two kinds of noise, up and down."""
-    figure = Figure(figsize=(9, 5), layout="constrained")
     panels = figure.subplots(2, 2, sharex="col", sharey="row")
     kinds = (
         ("tread", 100.0, "noise on tread height, ± cm", 100 * TREAD_NOISE_WITHSTOOD_M),
@@ -203,15 +199,13 @@ def draw_stairs(document: Document) -> Figure:
     panels[0, 0].set_ylabel("success, %")
     panels[1, 0].set_ylabel("episode length, s")
     panels[0, 0].legend(frameon=False, title=f"{100 * rise_m:g} cm stairs", loc="lower left")
-    return figure
 
 
-def draw_loads(document: Document) -> Figure:
+def draw_loads(document: Document, figure: Figure) -> None:
     """Peak torque and speed of each joint, left beside right, as shares of the limits."""
     joints = document["gait"].get("joints", [])
     half = len(joints) // 2
     names = [plain_joint(row["joint"]) for row in joints[:half]]
-    figure = Figure(figsize=(9, 3.8), layout="constrained")
     quantities = (
         ("torque", "peak_torque_nm", "torque_limit_nm", "N m"),
         ("speed", "peak_speed_rad_s", "speed_limit_rad_s", "rad/s"),
@@ -239,13 +233,11 @@ def draw_loads(document: Document) -> Figure:
         axes.set_xticks(np.arange(half), names, rotation=30, ha="right")
         axes.grid(visible=False, axis="x")
     axes.legend(frameon=False)
-    return figure
 
 
-def draw_forces(document: Document) -> Figure:
+def draw_forces(document: Document, figure: Figure) -> None:
     """Vertical ground force of both feet over a gait cycle, in robot weights."""
     gait = document["gait"]
-    figure = Figure(figsize=(7, 3.4), layout="constrained")
     axes = figure.subplots()
     for side, (name, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
         mean, low, high = (_curve(gait[f"force_{kind}"][side]) for kind in ("mean", "low", "high"))
@@ -260,13 +252,11 @@ def draw_forces(document: Document) -> Figure:
         ylim=(0, None),
     )
     axes.legend(frameon=False, ncols=2, loc="upper right")
-    return figure
 
 
-def draw_contact(document: Document) -> Figure:
+def draw_contact(document: Document, figure: Figure) -> None:
     """The phase indicator of each foot against its measured contact."""
     gait = document["gait"]
-    figure = Figure(figsize=(7, 4), layout="constrained")
     panels = figure.subplots(2, 1, sharex=True)
     for side, (name, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
         axes = panels[side]
@@ -279,12 +269,10 @@ def draw_contact(document: Document) -> Figure:
         axes.set_yticks([0, 1], ["swing", "support"])
     panels[0].legend(frameon=False, ncols=2, fontsize=8, loc="lower left")
     panels[1].set_xlabel("time in the gait cycle from the right foot's lift-off, s")
-    return figure
 
 
-def draw_push(document: Document) -> Figure:
+def draw_push(document: Document, figure: Figure) -> None:
     """Success against impulse, in four directions."""
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     colours = (UP, DOWN, LEFT, RIGHT)
     for row, colour in zip(document["push"], colours, strict=False):
@@ -292,12 +280,10 @@ def draw_push(document: Document) -> Figure:
         axes.plot(row["impulses_ns"], success, "o-", color=colour, label=row["direction"])
     _plain(axes, xlabel="impulse, N s", ylabel="success, %", ylim=(0, 104), xlim=(0, None))
     axes.legend(frameon=False, title="pushed")
-    return figure
 
 
-def draw_energy(document: Document) -> Figure:
+def draw_energy(document: Document, figure: Figure) -> None:
     """Cost of transport over walking speed, a line for each kind of walk."""
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
     axes = figure.subplots()
     marks = {"forward": ("o-", UP), "backward": ("s-", DOWN), "sideways": ("^-", LEFT)}
     for kind, (mark, colour) in marks.items():
@@ -313,7 +299,6 @@ def draw_energy(document: Document) -> Figure:
         ylim=(0, None),
     )
     axes.legend(frameon=False)
-    return figure
 
 
 def _curve(values: Sequence[float | None]) -> np.ndarray:
@@ -321,14 +306,15 @@ def _curve(values: Sequence[float | None]) -> np.ndarray:
     return np.array([np.nan if value is None else value for value in values], dtype=float)
 
 
-FIGURES: Mapping[str, tuple[str, Callable[[Document], Figure]]] = {
-    "errors.png": ("modes", draw_errors),
-    "stairs.png": ("stairs", draw_stairs),
-    "loads.png": ("gait", draw_loads),
-    "forces.png": ("gait", draw_forces),
-    "contact.png": ("gait", draw_contact),
-    "push.png": ("push", draw_push),
-    "energy.png": ("energy", draw_energy),
-    "limits.png": ("limits", draw_limits),
-    "beside.png": ("beside", draw_beside),
+# File name: the section that it shows, width and height, and who draws it.
+FIGURES: Mapping[str, tuple[str, tuple[float, float], Callable[[Document, Figure], None]]] = {
+    "errors.png": ("modes", (7, 4), draw_errors),
+    "stairs.png": ("stairs", (9, 5), draw_stairs),
+    "loads.png": ("gait", (9, 3.8), draw_loads),
+    "forces.png": ("gait", (7, 3.4), draw_forces),
+    "contact.png": ("gait", (7, 4), draw_contact),
+    "push.png": ("push", (7, 3.6), draw_push),
+    "energy.png": ("energy", (7, 3.6), draw_energy),
+    "limits.png": ("limits", (9, 4.6), draw_limits),
+    "beside.png": ("beside", (9, 4), draw_beside),
 }
