@@ -6,6 +6,7 @@ A field of a dataclass of options is `goal: PoseOption` or
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import difflib
 import inspect
@@ -57,35 +58,33 @@ class Reach(NamedTuple):
     rad: float
 
 
-NumberTuple = TypeVar("NumberTuple", Pose, Interval, Reach)
+Numbers = TypeVar("Numbers", Pose, Interval, Reach)
 
 
-def _parse(text: str, kind: type[NumberTuple], wanted: str) -> NumberTuple:
-    """The numbers of `text`, with commas between; ValueError unless they are finite and fit."""
-    try:
-        value = kind(*map(float, text.split(",")))
-    except (ValueError, TypeError):
-        raise ValueError(f"{text!r} is not {wanted}") from None
-    in_order = not isinstance(value, Interval) or value.low <= value.high
-    positive = not isinstance(value, Reach) or min(value) >= 0
-    if not (all(map(math.isfinite, value)) and in_order and positive):
+def _reader(
+    kind: type[Numbers], wanted: str, fits: Callable[[Numbers], bool] = lambda _: True
+) -> Callable[[str], Numbers]:
+    """Reads finite numbers with commas between; raises ValueError unless they are as wanted."""
+
+    def read(text: str) -> Numbers:
+        with contextlib.suppress(ValueError, TypeError):
+            value = kind(*map(float, text.split(",")))
+            if all(map(math.isfinite, value)) and fits(value):
+                return value
         raise ValueError(f"{text!r} is not {wanted}")
-    return value
+
+    return read
 
 
-def parse_reach(text: str) -> Reach:
-    """The reach written as `M,RAD`; raises ValueError for any other text."""
-    return _parse(text, Reach, "a reach; write M,RAD in metres and radians, such as 0.05,0.1")
-
-
-def parse_interval(text: str) -> Interval:
-    """The interval written as `LOW,HIGH`; raises ValueError for any other text."""
-    return _parse(text, Interval, "a range; write LOW,HIGH, such as -1,1")
-
-
-def parse_pose(text: str) -> Pose:
-    """The pose written as `X,Y,YAW`, metres and radians; raises ValueError for any other text."""
-    return _parse(text, Pose, "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57")
+parse_pose = _reader(Pose, "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57")
+parse_interval = _reader(
+    Interval, "a range; write LOW,HIGH, such as -1,1", lambda range_: range_.low <= range_.high
+)
+parse_reach = _reader(
+    Reach,
+    "a reach; write M,RAD in metres and radians, such as 0.05,0.1",
+    lambda reach: min(reach) >= 0,
+)
 
 
 def number(
