@@ -1,4 +1,4 @@
-"""States of a robot in its scene: at rest, in the mirror, and how far its shapes reach."""
+"""States of a robot in its scene: at rest, in the mirror, over given feet; reach of its shapes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from sim.scene import Scene
+from sim.sensors import SIDES
 
 
 def standing(scene: Scene, *, sunk_m: float = 0.0) -> mujoco.MjData:
@@ -45,3 +46,51 @@ def reach_m(scene: Scene, data: mujoco.MjData, geom: int) -> np.ndarray:
         return np.full(3, size[0])
     assert kind == mujoco.mjtGeom.mjGEOM_CAPSULE, f"{scene.model.geom(geom).name} is a {kind.name}"
     return turn[:, 2] * size[1] + size[0]
+
+
+# In a step, legs without ankle roll lean by this much at most.
+LEAN_RAD = np.radians(8.0)
+
+
+def posture_over(scene: Scene, feet_world: np.ndarray) -> mujoco.MjData:
+    """Both soles flat on the poses (2, 4), pelvis midway at its walking height.
+
+    Inverse kinematics by damped least squares on MuJoCo's Jacobians, one leg after the other,
+    blind to joint ranges: with six joints to a leg there is one posture near half-sitting. Legs of
+    five joints have no ankle roll: their soles lean as the legs do, by `LEAN_RAD` at most.
+    """
+    model, data = scene.model, mujoco.MjData(scene.model)
+    middle = feet_world.mean(axis=0)
+    data.qpos[:] = scene.qpos_at(middle[[0, 1, 3]])
+    half = len(scene.robot.joints) // 2
+    to_soles = np.full((2, 6), np.inf)
+    for _ in range(30):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        for k, side in enumerate(SIDES):
+            site = model.site(f"{side}_sole").id
+            joints = slice(k * half, (k + 1) * half)
+            jacobian = np.zeros((6, model.nv))
+            mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+            # All in the foot's own axes: position, roll, pitch, yaw.
+            along = np.kron(np.eye(2), data.site_xmat[site].reshape(3, 3).T)
+            to_soles[k] = along @ to_pose(data, site, feet_world[k])
+            jacobian = along @ jacobian[:, scene.joint_qvel[joints]]
+            task = [0, 1, 2, 4, 5] if half == 5 else range(6)
+            damped = jacobian[task] @ jacobian[task].T + 1e-6 * np.eye(half)
+            move = jacobian[task].T @ np.linalg.solve(damped, to_soles[k, task])
+            data.qpos[scene.joint_qpos[joints]] += 0.5 * move
+    off = np.abs(to_soles) - ([0, 0, 0, LEAN_RAD, 0, 0] if half == 5 else 0)
+    assert off.max() < 1e-4, f"no posture over {feet_world}: off by {to_soles}"
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def to_pose(data: mujoco.MjData, site: int, pose: np.ndarray) -> np.ndarray:
+    """Way (6,) in m and rad from the site to the level pose x, y, z, yaw."""
+    cos, sin = np.cos(pose[3]), np.sin(pose[3])
+    level = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    quat, turn = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quat, (level @ data.site_xmat[site].reshape(3, 3).T).ravel())
+    mujoco.mju_quat2Vel(turn, quat, 1.0)
+    return np.concatenate([pose[:3] - data.site_xpos[site], turn])

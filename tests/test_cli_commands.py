@@ -1,4 +1,4 @@
-"""The commands plan, navigate, evaluate and trials: what they say, write and refuse."""
+"""The commands plan, navigate and trials: what they say, write and refuse."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from app.cli import main
 from app.navigation.report import NavigationReport, Outcome
 from app.options import Reach, parse_reach
 from app.output import ExitCode
-from controller.step_sequences import MODES
 from planner.plan import FootstepPlan, pair_pose
 from tests.programs import ROOM, picture_at, refusal
 
@@ -176,25 +175,6 @@ def test_navigate_refuses_a_tolerance_that_its_own_rule_would_not_forgive(capsys
     words = ("navigate", "--map", ROOM, "--goal", "1,0,0", "--goal-tolerance", reach)
     told = refusal(capsys, *words)
     assert f"--goal-tolerance {reach} is more than 0.05,0.087" in told
-
-
-@pytest.mark.slow
-def test_evaluate_writes_a_row_for_every_mode(tmp_path, capsys):
-    words = ["evaluate", "--sections", "modes", "--episodes", "1", "--workers", "2", "--json"]
-    assert main([*words, "--out", str(tmp_path)]) == 0
-    printed = capsys.readouterr().out
-    assert (tmp_path / "evaluation.json").read_text() == printed
-    document = json.loads(printed)
-    assert [row["mode"] for row in document["modes"]] == [*MODES, "standing", "mixed"]
-    for row in document["modes"]:
-        assert row["episodes"] == 1
-        # 400 ticks hold at least the four steps that every episode but a standing one has.
-        if row["mode"] not in ("standing", "mixed") and row["falls"] == 0:
-            assert row["landings"] >= 4
-            assert 0 < row["error_m_median"] <= row["error_m_p95"] < 0.2
-    report = (tmp_path / "report.md").read_text()
-    assert all(f"| {mode} |" in report for mode in MODES)
-    picture_at(tmp_path / "errors.png")
 
 
 @pytest.mark.slow

@@ -21,6 +21,7 @@ from app.evaluation.sections import SECTIONS, mode_row
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
 from controller.policy import POLICY_FOLDER, load_policy
+from controller.step_sequences import MODES
 from controller.tracking_limits import limits_from, load_tracking_limits, tracking_limits_path
 from planner.robot_model import FootShape
 from sim.robots import get_robot
@@ -88,8 +89,17 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     stored = tracking_limits_path(None, ROBOT)
     before = stored.read_bytes() if stored.exists() else None
     assert main([*WORDS, "--json", "--out", str(tmp_path)]) == 0
-    document = json.loads(capsys.readouterr().out)
+    printed = capsys.readouterr().out
+    assert (tmp_path / "evaluation.json").read_text() == printed
+    document = json.loads(printed)
     assert set(SECTION_NAMES) < set(document)
+    assert [row["mode"] for row in document["modes"]] == [*MODES, "standing", "mixed"]
+    for row in document["modes"]:
+        assert row["episodes"] == 1
+        # 400 ticks hold at least the four steps that every episode but a standing one has.
+        if row["mode"] not in ("standing", "mixed") and row["falls"] == 0:
+            assert row["landings"] >= 4
+            assert 0 < row["error_m_median"] <= row["error_m_p95"] < 0.2
     assert [row["way"] for row in document["stairs"][:2]] == ["up", "down"]
     assert len(document["gait"]["joints"]) == 12
     walked = document["gait"]["walk"]
@@ -106,6 +116,7 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     assert document["long"]["walks"] == 1
     assert len(document["limits"]["map"]["kinds"]) == 3
     text = (tmp_path / "report.md").read_text()
+    assert all(f"| {mode} |" in text for mode in MODES)
     for name in FIGURES.keys() - {"beside.png"}:
         assert f"]({name})" in text
         picture_at(tmp_path / name)
@@ -206,7 +217,7 @@ def test_stored_beside_the_weights_from_enough_episodes_on(tmp_path, measured_re
     options = EvaluateOptions(out=tmp_path, policy=tmp_path / "own.safetensors")
     for episodes, name in ((99, None), (100, "own.measured.json")):
         measured = measured_of(evaluation_setup(episodes), measured_results)
-        assert evaluate._store(options, evaluation_setup(episodes), measured) == name
+        assert evaluate.store_limits(options, evaluation_setup(episodes), measured) == name
         assert load_tracking_limits(ROBOT, options.policy) == (measured if name else None)
     assert "99 episodes are too few" in capsys.readouterr().err
 

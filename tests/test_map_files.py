@@ -238,20 +238,15 @@ def test_files_that_are_not_there_are_named(tmp_path, write):
 
 
 @pytest.fixture
-def write_map(tmp_path):
-    """Writes a white map of 3 x 2 cells and, if given, a picture of heights; gives the YAML."""
+def write_map(write, tmp_path):
+    """Writes a white map of 3 x 2 cells and, if given, a picture of heights; gives its path."""
 
     def _write(heights=None, suffix=".png", /, **keys):
-        cv2.imwrite(str(tmp_path / "m.png"), np.full((2, 3), 255, np.uint8))
-        document = {"image": "m.png", "resolution": 0.1, "origin": [1.0, 2.0, 0.0], "negate": 0}
         if heights is not None:
             assert cv2.imwrite(str(tmp_path / f"heights{suffix}"), np.asarray(heights))
-            document |= {"elevation": f"heights{suffix}", "elevation_scale": 0.01}
-        document |= keys
-        document = {key: value for key, value in document.items() if value is not None}
-        path = tmp_path / "m.yaml"
-        path.write_text(yaml.safe_dump(document))
-        return path
+            keys = {"elevation": f"heights{suffix}", "elevation_scale": 0.01, **keys}
+        white = np.full((2, 3), 255, np.uint8)
+        return write(white, resolution=0.1, origin=[1.0, 2.0, 0.0], **keys)
 
     return _write
 

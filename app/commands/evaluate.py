@@ -101,7 +101,7 @@ def run(options: EvaluateOptions) -> int:
     except KeyboardInterrupt:
         _write(options, document_of(setup, parts, results, None))
         raise
-    stored = _store(options, setup, measured_of(setup, results))
+    stored = store_limits(options, setup, measured_of(setup, results))
     document = document_of(setup, parts, results, stored)
     if beside is not None:
         document["beside"] = beside
@@ -135,7 +135,7 @@ def _measure(
             done += part.robot_seconds
 
 
-def _store(
+def store_limits(
     options: EvaluateOptions, setup: EvaluationSetup, measured: TrackingLimits | None
 ) -> str | None:
     """Put what planning is to know beside the weights; gives the file, or None if it is not put."""
