@@ -17,11 +17,10 @@ from sim.robot import (
     LEFT_LEG_BITS,
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
-    VISUAL_GROUP,
     LegJoint,
     Robot,
 )
-from sim.solids import Colour, Shapes, Vector, add_shapes, add_sole, fix_joint
+from sim.solids import VISUAL, Colour, Shapes, Vector, add_shapes, add_sole, fix_joint
 
 if TYPE_CHECKING:
     import mujoco
@@ -98,11 +97,8 @@ class MenagerieModel:
                 meshname=geom.meshname,
                 pos=geom.pos,
                 quat=geom.quat,
-                group=VISUAL_GROUP,
-                contype=0,
-                conaffinity=0,
-                mass=0,
                 rgba=self.colours.get(material, (0.7, 0.7, 0.7, 1.0)),
+                **VISUAL,
             )
 
 

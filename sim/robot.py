@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,6 +88,18 @@ def both_legs(
         for side in sides
         for joint, kp, kd, torque, speed, armature, angle_deg, sign in leg
     )
+
+
+# A step model with the costs of steps and clearance that all robots here share.
+RobotStepModel = partial(
+    StepModel,
+    turn_cost_m=0.05,
+    side_cost_m=0.2,
+    back_cost_m=0.2,
+    clearance_m=0.25,
+    clearance_cost_m=0.25,
+    foot_margin_m=0.03,
+)
 
 
 @dataclass(frozen=True, kw_only=True)

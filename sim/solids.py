@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -18,6 +19,12 @@ if TYPE_CHECKING:
 
 Vector = tuple[float, float, float]
 Colour = tuple[float, float, float, float]
+
+
+# Arguments of `add_geom` for what is seen and never touched, without mass.
+VISUAL: Mapping[str, Any] = MappingProxyType(
+    {"group": VISUAL_GROUP, "contype": 0, "conaffinity": 0, "mass": 0}
+)
 
 
 class Solid:
@@ -155,7 +162,7 @@ def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, rgba: Colo
         shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": mesh.name}
     else:
         shape = _primitive(solid)
-    body.add_geom(group=VISUAL_GROUP, contype=0, conaffinity=0, mass=0, rgba=rgba, **shape)
+    body.add_geom(rgba=rgba, **shape, **VISUAL)
 
 
 def _primitive(solid: Solid) -> dict[str, Any]:

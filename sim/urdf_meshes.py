@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.robot import VISUAL_GROUP
+from sim.solids import VISUAL, Colour
 
 if TYPE_CHECKING:
     import mujoco
-
-Colour = tuple[float, float, float, float]
 
 
 def add_urdf_meshes(
@@ -58,12 +56,9 @@ def add_urdf_meshes(
             spec.body((renamed or {}).get(name, name)).add_geom(
                 type=mujoco.mjtGeom.mjGEOM_MESH,
                 meshname=mesh.name,
-                group=VISUAL_GROUP,
-                contype=0,
-                conaffinity=0,
-                mass=0,
                 rgba=(accents or {}).get(name, rgba),
                 **_origin(visual),
+                **VISUAL,
             )
             count += 1
     return count

@@ -9,9 +9,9 @@ the meshes and the contact points of the model's feet, and the step model.
 
 from __future__ import annotations
 
-from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits
 from sim.menagerie import MenagerieModel
-from sim.robot import GaitTiming, both_legs
+from sim.robot import GaitTiming, RobotStepModel, both_legs
 from sim.solids import Box, Shapes, capsule
 
 FOOT = FootShape(length_m=0.18, width_m=0.07)
@@ -78,18 +78,12 @@ MODEL = MenagerieModel(
 ROBOT = MODEL.robot(
     name="g1",
     title="Unitree G1",
-    step_model=StepModel(
+    step_model=RobotStepModel(
         foot=FOOT,
         body=BodyShape(length_m=0.40, width_m=0.50),
         limits=StepLimits(x_m=(-0.14, 0.24), y_m=(0.19, 0.34), yaw_rad=(-0.2, 0.4)),
         steps=STEPS,
         stance_width_m=0.24,
-        turn_cost_m=0.05,
-        side_cost_m=0.2,
-        back_cost_m=0.2,
-        clearance_m=0.25,
-        clearance_cost_m=0.25,
-        foot_margin_m=0.03,
         body_margin_m=0.06,
     ),
     gait=GaitTiming(single_support_s=0.65, double_support_s=0.3),

@@ -11,9 +11,9 @@ degrees in the step set, and 7 at the corners of the step limits.
 
 from __future__ import annotations
 
-from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits
 from sim.menagerie import MenagerieModel
-from sim.robot import GaitTiming, both_legs
+from sim.robot import GaitTiming, RobotStepModel, both_legs
 from sim.solids import Box, Shapes, capsule
 
 FOOT = FootShape(length_m=0.22, width_m=0.08)
@@ -73,18 +73,12 @@ MODEL = MenagerieModel(
 ROBOT = MODEL.robot(
     name="h1",
     title="Unitree H1",
-    step_model=StepModel(
+    step_model=RobotStepModel(
         foot=FOOT,
         body=BodyShape(length_m=0.36, width_m=0.56),
         limits=StepLimits(x_m=(-0.17, 0.29), y_m=(0.33, 0.46), yaw_rad=(-0.13, 0.27)),
         steps=STEPS,
         stance_width_m=0.40,
-        turn_cost_m=0.05,
-        side_cost_m=0.2,
-        back_cost_m=0.2,
-        clearance_m=0.25,
-        clearance_cost_m=0.25,
-        foot_margin_m=0.03,
         body_margin_m=0.08,
     ),
     gait=GaitTiming(single_support_s=0.5, double_support_s=0.2),

@@ -21,13 +21,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits
 from sim.robot import (
     LEFT_LEG_BITS,
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
     GaitTiming,
     Robot,
+    RobotStepModel,
     both_legs,
 )
 from sim.solids import (
@@ -338,19 +339,13 @@ LIMITS = StepLimits(x_m=(-0.20, 0.35), y_m=(0.18, 0.38), yaw_rad=(-0.2, 0.4), z_
 ROBOT = Robot(
     name="hrp5p",
     title="HRP-5P",
-    step_model=StepModel(
+    step_model=RobotStepModel(
         foot=FOOT,
         body=BodyShape(length_m=0.52, width_m=0.64),
         # Well inside what is trained, as for JVRC-1.
         limits=replace(LIMITS, x_m=(-0.16, 0.31), y_m=(0.18, 0.33), yaw_rad=(-0.16, 0.31)),
         steps=STEPS,
         stance_width_m=0.21,
-        turn_cost_m=0.05,
-        side_cost_m=0.2,
-        back_cost_m=0.2,
-        clearance_m=0.25,
-        clearance_cost_m=0.25,
-        foot_margin_m=0.03,
         level_margin_m=0.01,
         body_margin_m=0.11,
     ),

@@ -16,13 +16,14 @@ import math
 import xml.etree.ElementTree as ET
 from typing import TYPE_CHECKING
 
-from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import BodyShape, FootShape, StepLimits
 from sim.robot import (
     LEFT_LEG_BITS,
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
     GaitTiming,
     Robot,
+    RobotStepModel,
     both_legs,
 )
 from sim.solids import Shapes, add_shapes, add_sole, capsule, fix_joint
@@ -149,7 +150,7 @@ def add_meshes(spec: mujoco.MjSpec) -> None:
 ROBOT = Robot(
     name="jvrc1",
     title="JVRC-1",
-    step_model=StepModel(
+    step_model=RobotStepModel(
         foot=FOOT,
         body=BodyShape(length_m=0.40, width_m=0.62),
         # Of 1200 walks that began near the corners of these limits and went on turning as the
@@ -160,12 +161,6 @@ ROBOT = Robot(
         ),
         steps=STEPS,
         stance_width_m=0.20,
-        turn_cost_m=0.05,
-        side_cost_m=0.2,
-        back_cost_m=0.2,
-        clearance_m=0.25,
-        clearance_cost_m=0.25,
-        foot_margin_m=0.03,
         body_margin_m=0.11,
         # It lifts its feet by 20 cm. Of 50 walks between rooms with sills as high none fell.
         swing_clear_m=0.05,
