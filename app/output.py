@@ -58,13 +58,15 @@ def one_line(message: object) -> str:
     return " ".join(str(message).split())
 
 
-def require_writable(path: Path, *, option: str, endings: Sequence[str] = ()) -> None:
-    """Checks now, before the work, that the file can be written later.
+def require_writable(path: Path | None, *, option: str, endings: Sequence[str] = ()) -> None:
+    """Checks now, before the work, that the file, if there is to be one, can be written later.
 
     Raises:
         InputError: The folder is missing or not writable, the path is a folder itself, or it has
             none of the endings, if any are given.
     """
+    if path is None:
+        return
     folder = path.parent
     if endings and path.suffix.lower() not in endings:
         raise InputError(f"{option}: {path} must end in {', '.join(endings)}")

@@ -186,14 +186,10 @@ def _require_reachable(options: NavigateOptions) -> None:
 def _check_outputs(options: NavigateOptions) -> None:
     """Find out before the walk, not after it, that a file cannot be written or drawn."""
     make_folder(options.out, option="--out")
-    for option, path, endings in (
-        ("--html", options.html, (".html", ".htm")),
-        ("--video", options.video, (".mp4",)),
-        ("--strip", options.strip, PICTURE_ENDINGS),
-        ("--gait-strip", options.gait_strip, PICTURE_ENDINGS),
-    ):
-        if path is not None:
-            require_writable(path, option=option, endings=endings)
+    require_writable(options.html, option="--html", endings=(".html", ".htm"))
+    require_writable(options.video, option="--video", endings=(".mp4",))
+    require_writable(options.strip, option="--strip", endings=PICTURE_ENDINGS)
+    require_writable(options.gait_strip, option="--gait-strip", endings=PICTURE_ENDINGS)
 
 
 def _write(

@@ -117,15 +117,10 @@ def run(options: PlanOptions) -> int:
 
 def _check_outputs(options: PlanOptions) -> None:
     """Find out before the search, not after it, that a file cannot be written or drawn."""
-    if options.out is not None:
-        require_writable(options.out, option="--out")
-    for option, path, endings in (
-        ("--image", options.image, PICTURE_ENDINGS),
-        ("--search-image", options.search_image, FIGURE_ENDINGS),
-        ("--refine-image", options.refine_image, PICTURE_ENDINGS),
-    ):
-        if path is not None:
-            require_writable(path, option=option, endings=endings)
+    require_writable(options.out, option="--out")
+    require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
+    require_writable(options.search_image, option="--search-image", endings=FIGURE_ENDINGS)
+    require_writable(options.refine_image, option="--refine-image", endings=PICTURE_ENDINGS)
     if options.refine_image is not None and not options.refine:
         raise InputError("--refine-image shows what refinement does: leave out --no-refine")
 
