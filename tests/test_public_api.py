@@ -137,6 +137,7 @@ def test_the_example_that_walks_tells_of_every_step(monkeypatch, capsys):
     assert "reached" in lines
 
 
+@pytest.mark.slow
 def test_the_example_that_trains_trains(monkeypatch, capsys):
     pytest.importorskip("stable_baselines3")
     run_example(monkeypatch, "train_for_a_minute.py", "128")

@@ -79,23 +79,22 @@ def record_walk(
     *,
     count: int,
     seed: int,
-    seconds: float = RECORDED_S,
     threads: int = 1,
 ) -> WalkRecord:
-    """`count` robots that repeat one step, half of them beginning with the left foot.
+    """`count` robots that repeat one step for 10 s, half of them beginning with the left foot.
 
     The step is (x_m, y_m, yaw_rad) of the swing foot in the support foot's frame, y and yaw
     outward, as in `StepModel.steps`. In sideways and turning walks one foot takes the step and
     the other follows to the stance width.
     """
     relative = repeat_step(
-        step, robot.step_model.stance_width_m, int(seconds / robot.gait.step_s) + 2
+        step, robot.step_model.stance_width_m, int(RECORDED_S / robot.gait.step_s) + 2
     )
     walker = _start(robot, relative, count, seed, threads)
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
     torque, speed, force, indicator, cycle_tick, pelvis = [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
-    for tick in walk(walker, policy, round(seconds / CONTROL_PERIOD_S)):
+    for tick in walk(walker, policy, round(RECORDED_S / CONTROL_PERIOD_S)):
         read = walker.sim.sensors
         torque.append(read[:, :, sensors.joint_torque])
         force.append(read[:, :, sensors.ground_force_world[:, 2]])
