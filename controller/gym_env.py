@@ -22,7 +22,6 @@ from controller.gym_render import RenderState, SceneRenderer
 from controller.observation import SCALED_LIMIT, policy_fields
 from controller.stairs import STAIR_MODES
 from controller.step_sequences import MODES
-from sim.robot import Robot
 from sim.robots import get_robot, robot_names
 
 VERSION = 0
@@ -30,17 +29,6 @@ VERSION = 0
 ACTION_LIMIT_RAD = 2.0
 # Fields of a `Transition` that hold for feet that have just landed.
 LANDING_ERRORS = ("landing_error_m", "landing_height_error_m", "landing_heading_error_rad")
-
-
-def observation_space(robot: Robot) -> spaces.Box:
-    """Scaled observations (N,), clipped as in training."""
-    width = sum(field.width for field in policy_fields(robot))
-    return spaces.Box(-SCALED_LIMIT, SCALED_LIMIT, (width,), np.float32)
-
-
-def action_space(robot: Robot) -> spaces.Box:
-    """Offsets (J,) in rad of the joint targets from half-sitting."""
-    return spaces.Box(-ACTION_LIMIT_RAD, ACTION_LIMIT_RAD, (len(robot.joints),), np.float32)
 
 
 def clip_to_space(observation: np.ndarray) -> np.ndarray:
@@ -67,7 +55,9 @@ class GymTask(WalkTask):
     """The walking task of an environment, which also keeps the last states of episodes.
 
     A `WalkTask` starts the next episode within the step that ends one; `last_observation` (B, N)
-    and `last_render_state` are from before that.
+    and `last_render_state` are from before that. Of one robot, `observations` are scaled and
+    clipped as in training (N,), `actions` offsets in rad of the joint targets from half-sitting
+    (J,).
     """
 
     last_observation: np.ndarray
@@ -97,6 +87,10 @@ class GymTask(WalkTask):
             raise ValueError(f"num_envs {count} must be at least 1")
         super().__init__(get_robot(robot), count=count, seed=0, mode=mode, **settings)
         self._renderer = SceneRenderer(self.walker.scene) if render_mode else None
+        width = sum(field.width for field in policy_fields(self.robot))
+        self.observations = spaces.Box(-SCALED_LIMIT, SCALED_LIMIT, (width,), np.float32)
+        joints, limit_rad = len(self.robot.joints), ACTION_LIMIT_RAD
+        self.actions = spaces.Box(-limit_rad, limit_rad, (joints,), np.float32)
 
     def reset(self, rows: np.ndarray) -> None:
         """Keep the last states of the episodes of the robots `rows`, and start new ones."""
@@ -174,8 +168,7 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         self._task = GymTask(robot, mode=mode, config=config, stage=stage, render_mode=render_mode)
         self.render_mode = render_mode
-        self.observation_space = observation_space(self._task.robot)
-        self.action_space = action_space(self._task.robot)
+        self.observation_space, self.action_space = self._task.observations, self._task.actions
         self._ended = False
 
     def reset(
@@ -270,8 +263,8 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         )
         self.num_envs = num_envs
         self.render_mode = render_mode
-        self.single_observation_space = observation_space(self._task.robot)
-        self.single_action_space = action_space(self._task.robot)
+        self.single_observation_space = self._task.observations
+        self.single_action_space = self._task.actions
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
 

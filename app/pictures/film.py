@@ -17,39 +17,36 @@ if TYPE_CHECKING:
     import mujoco
 
 
+FRAMES_PER_S = 20
+
+
 def write_film(
     path: Path,
     model: mujoco.MjModel,
     recording: Recording,
     *,
-    view: View = FOLLOW,
-    frames_per_s: int = 20,
     width: int = 640,
     height: int = 480,
-    fine: bool = False,
     marks: Footmarks | None = None,
 ) -> int:
     """Writes the walk as a film that runs at the speed of the walk; returns the count of frames.
 
-    Width and height are even numbers: H.264 takes no others. `fine` and `marks` are as in
-    `drawing`.
+    Width and height are even numbers: H.264 takes no others. `marks` are as in `drawing`.
 
     Raises:
         NoGlError: No GL library works here.
         InputError: The file cannot be written.
     """
     first_s, last_s = recording.time_s[[0, -1]]
-    count = int((last_s - first_s) * frames_per_s) + 1
-    moments = recording.nearest(first_s + np.arange(count) / frames_per_s)
+    count = int((last_s - first_s) * FRAMES_PER_S) + 1
+    moments = recording.nearest(first_s + np.arange(count) / FRAMES_PER_S)
     with (
-        drawing(
-            model, recording, view, width=width, height=height, fine=fine, marks=marks
-        ) as drawer,
+        drawing(model, recording, FOLLOW, width=width, height=height, marks=marks) as drawer,
         replacing(path) as temporary,
         ProgressBar("film", count) as bar,
         av.open(str(temporary), "w", format="mp4") as film,
     ):
-        stream = film.add_stream("libx264", rate=frames_per_s)
+        stream = film.add_stream("libx264", rate=FRAMES_PER_S)
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast", "crf": "22"}
