@@ -9,13 +9,19 @@ from sim.scene import Scene
 from sim.sensors import SIDES
 
 
-def standing(scene: Scene, *, sunk_m: float = 0.0) -> mujoco.MjData:
-    """Half-sitting, with all that MuJoCo computes of it."""
+def state_at(scene: Scene, qpos: np.ndarray) -> mujoco.MjData:
+    """A state with all that MuJoCo computes of it."""
     data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    data.qpos[2] -= sunk_m
+    data.qpos[:] = qpos
     mujoco.mj_forward(scene.model, data)
     return data
+
+
+def standing(scene: Scene, *, sunk_m: float = 0.0) -> mujoco.MjData:
+    """Half-sitting, lower by so much."""
+    qpos = scene.standing_qpos.copy()
+    qpos[2] -= sunk_m
+    return state_at(scene, qpos)
 
 
 def mirrored_qpos(scene: Scene, qpos: np.ndarray) -> np.ndarray:

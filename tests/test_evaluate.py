@@ -79,6 +79,13 @@ def evaluation_setup(episodes: int = 100) -> EvaluationSetup:
     return EvaluationSetup(robot=ROBOT, policy=load_policy(ROBOT), episodes=episodes, seed=1)
 
 
+def document_of(results, stored=None, names=SECTION_NAMES):
+    """evaluation.json of these results, of sections of these names."""
+    setup = evaluation_setup()
+    parts = [part for name in names for part in SECTIONS[name](setup)]
+    return evaluate.document_of(setup, parts, results, stored)
+
+
 @pytest.mark.slow
 def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     few = [(0.0, 0.2, 0.0), (0.3, 0.2, 0.0), (0.0, 0.2, 0.3)]
@@ -223,10 +230,7 @@ def test_stored_beside_the_weights_from_enough_episodes_on(tmp_path, measured_re
 
 
 def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path, measured_results):
-    parts = [part for name in ("stairs", "limits") for part in SECTIONS[name](evaluation_setup())]
-    document = evaluate.document_of(
-        evaluation_setup(), parts, measured_results, "own.measured.json"
-    )
+    document = document_of(measured_results, "own.measured.json", ("stairs", "limits"))
     document["stairs"] = [r for name, r in measured_results.items() if name.startswith("stairs")]
     write_figures(document, tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"stairs.png", "limits.png"}
@@ -239,15 +243,14 @@ def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path, measured_resul
 
 def test_another_policy_beside(tmp_path, capsys):
     """The document of one evaluation, read into the report of another."""
-    parts = [part for section in SECTIONS.values() for part in section(evaluation_setup())]
     results = {"modes-forward": mode_row(made_up("forward"))}
-    other = evaluate.document_of(evaluation_setup(), parts, results, None)
+    other = document_of(results)
     other["stairs"] = [stairs_row("up", 0.10, 0.5), stairs_row("down", 0.15, 0.25)]
     other["modes"] = [{**other["modes"][0], "falls": 1}]
     folder = tmp_path / "other"
     folder.mkdir()
     (folder / "evaluation.json").write_text(json.dumps(other))
-    mine = evaluate.document_of(evaluation_setup(), parts, results, None)
+    mine = document_of(results)
     mine["stairs"] = [stairs_row("up", 0.10, 1.0)]
     mine["beside"] = read_beside(folder, "jvrc1", evaluate.FORMAT)
     text = report(mine)
@@ -270,8 +273,7 @@ def test_another_policy_beside(tmp_path, capsys):
 
 
 def test_the_gait_stands_beside_the_papers_peaks_of_the_same_robot():
-    parts = [part for section in SECTIONS.values() for part in section(evaluation_setup())]
-    document = evaluate.document_of(evaluation_setup(), parts, {}, None)
+    document = document_of({})
     loads = {
         "peak_torque_nm": 90.0,
         "rms_torque_nm": 30.0,

@@ -25,6 +25,7 @@ from sim.clearance import min_clearance_m
 from sim.robot import GROUND_PREFIX
 from sim.robots import get_robot
 from sim.scene import scene_of
+from tests.scenes import state_at
 
 ROBOT = get_robot("jvrc1")
 
@@ -244,10 +245,8 @@ def test_the_shipped_policy_walks_over_the_stairs():
 
 def test_treads_are_no_walls():
     scene = scene_of(STAIRS, ROBOT, False)
-    data = mujoco.MjData(scene.model)
     # Shins in the first risers, so that treads are touched; the walls are 1.2 m to either side.
-    data.qpos[:] = scene.qpos_at(np.array([2.0, 0.0, 0.0]))
-    mujoco.mj_forward(scene.model, data)
+    data = state_at(scene, scene.qpos_at(np.array([2.0, 0.0, 0.0])))
     assert data.ncon > 4
     assert data.sensordata[scene.sensors.wall_contacts[0]] == 0
     clearance = min_clearance_m(scene, data.qpos[None])
@@ -258,9 +257,7 @@ def test_treads_are_no_walls():
 def test_walls_stand_beside_the_robot_wherever_it_is(x_m, ground_m):
     scene = scene_of(STAIRS, ROBOT, False)
     pose = np.array([x_m, 1.2, 0.0]) if x_m > 2 else np.array([-2.0, 0.0, 0.0])
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.qpos_at(pose, ground_m)
-    mujoco.mj_forward(scene.model, data)
+    data = state_at(scene, scene.qpos_at(pose, ground_m))
     assert data.sensordata[scene.sensors.wall_contacts[0]] > 0
     # Walls reach up to 1 m above the floor beside them, all the way.
     walls = scene.model.geom_bodyid == scene.model.body("walls").id

@@ -31,6 +31,7 @@ from sim.robot import VISUAL_GROUP
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 from tests.programs import drawn_by, picture_at, run_python
+from tests.scenes import standing
 
 
 def recording_of(xy_yaw: np.ndarray) -> Recording:
@@ -361,11 +362,7 @@ def test_jvrc1_wears_all_its_parts_where_its_shapes_are():
     assert scene.model.nmesh == 35
     assert (scene.model.geom_group == VISUAL_GROUP).sum() == 35
     # The mesh of each foot reaches down to the sole: vertices in the world, standing.
-    import mujoco
-
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.standing_qpos
-    mujoco.mj_kinematics(scene.model, data)
+    data = standing(scene)
     for prefix, side in (("L", "left"), ("R", "right")):
         mesh = next(
             index
