@@ -6,9 +6,10 @@ import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan
-from planner.planner import plan_footsteps
+from planner.plan import FootstepPlan, feet_at, to_frame
+from planner.planner import Planner, plan_footsteps
 from planner.robot_model import StepModel
+from planner.search.problem import Request
 from tests.planner_oracle import small_model
 
 
@@ -82,3 +83,17 @@ def fine_model(**changes) -> StepModel:
 def repeatable(plan: FootstepPlan) -> str:
     """The plan as text without its times."""
     return plan.to_json().split('"time_to')[0]
+
+
+def request_of(grid, model, start, goal) -> Request:
+    """What a search is asked for this query."""
+    planner = Planner(grid, model, options=PlannerOptions(refine=False))
+    planner.plan(start=start, goal=goal)
+    feet = feet_at(start, model.stance_width_m)
+    return Request(
+        context=planner.goal_context(goal),
+        feet_lattice=to_frame(feet[:, [0, 1, 3]], goal),
+        feet_m=np.zeros(2),
+        stands=False,
+        first_side=None,
+    )

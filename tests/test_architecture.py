@@ -125,6 +125,15 @@ def test_no_file_imports_itself_by_way_of_others():
     tuple(graphlib.TopologicalSorter(graph).static_order())
 
 
+def test_no_test_file_imports_another():
+    """What several of them use is in a helper's file."""
+    files = sorted((ROOT / "tests").glob("*.py"))
+    assert len(files) > 50
+    for path in files:
+        for name in imports(ast.parse(path.read_text(encoding="utf-8"))):
+            assert not name.startswith("tests.test_"), f"{path} imports {name}"
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_heavy_libraries_stay_where_they_belong(package):
     for path in files_of(package):

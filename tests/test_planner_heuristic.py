@@ -10,11 +10,10 @@ import pytest
 
 from planner.heuristics.heuristic import estimate
 from planner.options import HEURISTICS, PlannerOptions
-from planner.plan import feet_at, to_frame
 from planner.planner import Planner, plan_footsteps
 from planner.search.first_plan import find_first_plan
-from planner.search.problem import Request, heuristic_to_start
-from tests.planner_floor import CASES
+from planner.search.problem import heuristic_to_start
+from tests.planner_floor import CASES, request_of
 from tests.planner_oracle import Oracle, oracle_node, small_model
 
 
@@ -172,16 +171,3 @@ def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
     assert quick is not None
     assert quick.lower_bound_um / 1e6 <= best_m + 1e-5
     assert quick.cost_um / 1e6 >= best_m - 1e-5
-
-
-def request_of(grid, model, start, goal):
-    planner = Planner(grid, model, options=PlannerOptions(refine=False))
-    planner.plan(start=start, goal=goal)
-    feet = feet_at(start, model.stance_width_m)
-    return Request(
-        context=planner.goal_context(goal),
-        feet_lattice=to_frame(feet[:, [0, 1, 3]], goal),
-        feet_m=np.zeros(2),
-        stands=False,
-        first_side=None,
-    )

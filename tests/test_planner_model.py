@@ -1,10 +1,15 @@
-"""Step models: what of a robot the planner is told, and what it refuses to be told."""
+"""Step models, and the step table: rounded to the lattice, within the limits, feet apart."""
 
 from __future__ import annotations
 
-import pytest
+import math
 
-from planner.lattice.steps import build_step_table
+import numpy as np
+import pytest
+import shapely
+from shapely import affinity
+
+from planner.lattice.steps import allowed, build_step_table, feet_apart, table_steps
 from planner.robot_model import BodyShape, FootShape, Side, StepLimits
 from tests.planner_oracle import small_model
 
@@ -48,3 +53,89 @@ def test_sides():
 def test_body_shape_must_have_a_size():
     with pytest.raises(ValueError, match="body width_m 0"):
         BodyShape(length_m=0.1, width_m=0)
+
+
+MODELS = {
+    "coarse": small_model(),
+    "fine": small_model(cell_m=0.03, headings=64),
+    "tight": small_model(
+        cell_m=0.05,
+        headings=32,
+        limits=StepLimits(x_m=(-0.15, 0.3), y_m=(0.15, 0.35), yaw_rad=(-0.2, 0.4)),
+        steps=((0.3, 0.2, 0.0), (0.0, 0.35, 0.0), (0.2, 0.2, 0.4), (-0.15, 0.15, -0.2)),
+        stance_width_m=0.19,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_no_rounded_step_breaks_the_limits_or_brings_the_feet_together(name):
+    model = MODELS[name]
+    table = build_step_table(model)
+    real = table.cost_um > 0
+    steps = table_steps(table, model)[real]
+    assert len(steps) > model.headings
+    assert model.limits.contain(steps).all()
+    assert feet_apart(steps, model.foot, model.foot_gap_m).all()
+    # And it stays near the step that was asked for.
+    wanted = np.broadcast_to(np.array(model.steps), (*real.shape, 3))[real]
+    assert np.hypot(*(steps - wanted)[:, :2].T).max() < 2.2 * model.cell_m
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_costs_are_those_of_the_rounded_step(name):
+    model = MODELS[name]
+    table = build_step_table(model)
+    steps = table_steps(table, model)
+    real = table.cost_um > 0
+    length_m = np.hypot(steps[..., 0], steps[..., 1])
+    np.testing.assert_allclose(table.cost_um[real] / 1e6, length_m[real] + 0.1, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_right_foots_steps_mirror_the_lefts(name):
+    model = MODELS[name]
+    table = build_step_table(model)
+    mirrored = -np.arange(model.headings) % model.headings
+    for left, right, sign in (
+        (table.d_col, table.d_col, 1),
+        (table.d_row, table.d_row, -1),
+        (table.d_heading, table.d_heading, -1),
+        (table.cost_um, table.cost_um, 1),
+    ):
+        np.testing.assert_array_equal(left[:, 0], sign * right[mirrored, 1])
+
+
+def test_optional_costs_add_up_by_hand():
+    model = small_model(turn_cost_m=0.5, side_cost_m=2.0, back_cost_m=3.0)
+    table, steps = build_step_table(model), table_steps(build_step_table(model), model)
+    checked = 0
+    for k, (x_m, y_m, yaw_rad) in enumerate(steps[0, 0]):
+        if table.cost_um[0, 0, k]:
+            extra = 0.5 * abs(yaw_rad) + 2.0 * abs(y_m - 0.2) + 3.0 * max(0.0, -x_m)
+            by_hand = math.hypot(x_m, y_m) + 0.1 + extra
+            assert table.cost_um[0, 0, k] == pytest.approx(by_hand * 1e6, abs=1)
+            checked += 1
+    assert checked == 5
+
+
+def test_feet_apart_never_contradicts_polygons():
+    rng = np.random.default_rng(1)
+    foot = FootShape(length_m=0.2, width_m=0.1)
+    steps = rng.uniform((-0.3, 0.0, -0.8), (0.3, 0.4, 0.8), (2000, 3))
+    apart = feet_apart(steps, foot, 0.02)
+    box = shapely.box(-0.1, -0.05, 0.1, 0.05)
+    for (x_m, y_m, yaw_rad), says_apart in zip(steps, apart, strict=True):
+        turned = affinity.rotate(box, yaw_rad, origin=(0, 0), use_radians=True)
+        distance_m = box.distance(affinity.translate(turned, x_m, y_m))
+        if says_apart:
+            assert distance_m >= 0.02 - 1e-9
+        else:
+            # Grown boxes have corners, so the check may ask for more, but not for much.
+            assert distance_m <= 0.02 * math.sqrt(2)
+    assert 0.2 < apart.mean() < 0.9
+
+
+def test_a_step_onto_the_other_foot_is_not_allowed():
+    model = small_model(limits=StepLimits(x_m=(-0.2, 0.3), y_m=(0.0, 0.4), yaw_rad=(-0.4, 0.8)))
+    assert allowed(np.array([[0.0, 0.2, 0.0], [0.0, 0.1, 0.0]]), model).tolist() == [True, False]

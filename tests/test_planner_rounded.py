@@ -22,9 +22,8 @@ from planner.planner import plan_footsteps
 from planner.search import ara_star
 from planner.search.ara_star import with_rounded_bound
 from planner.search.problem import forward_task
-from tests.planner_floor import CASES, fine_model, scatter
+from tests.planner_floor import CASES, fine_model, request_of, scatter
 from tests.planner_oracle import Oracle, oracle_node, small_model
-from tests.test_planner_heuristic import request_of
 
 FAR_UM = 100_000_000
 

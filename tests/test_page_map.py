@@ -1,16 +1,25 @@
-"""What a click meets first: floor, wall or box, on flat and on stepped ground."""
+"""The map on the page: what a click meets first, heights, and boxes drawn as one solid."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+import viser
 
+from app.viewer.map_scene import add_floor, solid
+from app.viewer.markers import Footprints, Marker
+from app.viewer.obstacle_editor import ObstacleEditor
 from app.viewer.obstacles import Obstacle, snapped
 from app.viewer.pointer import FLOOR, WALL, Surface, SurfaceHit, surface_of
+from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map
+from planner.robot_model import FootShape, Side
 from sim.scene import WALL_HEIGHT_M
 
 # A hall of 3 by 2 m with a wall across it, from x = 1.0 to 1.1 m; walls are 1 m high.
@@ -141,3 +150,100 @@ def test_rays_meet_what_small_steps_along_them_meet():
         assert 0 <= found.z_m <= (1.0 + 1e-9 if found.on == WALL else 1e-9)
         seen.add(found.on)
     assert seen == {FLOOR, WALL}
+
+
+STAIRS = load_map("maps/stairs.yaml")
+
+
+@pytest.fixture
+def scene() -> Iterator[viser.SceneApi]:
+    server = open_server(title="heights")
+    yield server.scene
+    server.stop()
+
+
+async def nothing(_event: object) -> None:
+    """What a click does here."""
+
+
+def shown(scene: viser.SceneApi, name: str) -> np.ndarray:
+    """Vertices (n, 3) of a mesh of the scene that are not put aside."""
+    handle: Any = scene._handle_from_node_name[name]
+    vertices = np.array(handle.vertices)
+    return vertices[vertices[:, 2] > -0.5]
+
+
+def test_the_ground_is_drawn_as_high_as_it_is(scene):
+    add_floor(scene, STAIRS)
+    tops = [
+        shown(scene, name)[:, 2].max()
+        for name in scene._handle_from_node_name
+        if name.startswith("/map/ground/")
+    ]
+    assert sorted(tops) == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    walls = shown(scene, "/map/walls")
+    assert walls[:, 2].max() == pytest.approx(0.6 + WALL_HEIGHT_M)
+    assert walls[:, 2].min() == 0
+
+
+def test_footprints_path_and_goal_lie_on_the_ground(scene):
+    footprints = Footprints(scene, STAIRS, FootShape(length_m=0.2, width_m=0.1))
+    poses = np.array([[2.15, 0.1, 0.1, 0.0], [4.1, 0.1, 0.6, 0.3]])
+    footprints.plan(np.array([Side.LEFT, Side.LEFT]), poses)
+    soles = shown(scene, "/steps/planned_left")[:8]
+    assert soles[:4, 2] == pytest.approx(0.1, abs=0.02)
+    assert soles[4:, 2] == pytest.approx(0.6, abs=0.02)
+    assert soles[:4, :2].mean(axis=0) == pytest.approx(poses[0, :2])
+    # From the floor up the first step and on.
+    footprints.path(np.array([[1.8, 0.0], [1.95, 0.0], [2.1, 0.0], [2.25, 0.0]]))
+    path = shown(scene, "/path")[:12].reshape(3, 4, 3)
+    assert path[:, :, 2].max(axis=1) == pytest.approx([0.0, 0.1, 0.1], abs=0.02)
+    marker = Marker(scene, "/goal", height_m=surface_of(STAIRS).height_m)
+    for goal, ground_m in (((4.1, 0.0, 0.0), 0.6), ((0.0, 0.0, 1.0), 0.0)):
+        marker.show(goal)
+        assert marker._arrow.position[2] == pytest.approx(ground_m, abs=0.05)
+
+
+def test_boxes_stand_on_the_ground(scene):
+    boxes: list[Obstacle] = []
+    obstacle_editor = ObstacleEditor(
+        scene,
+        STAIRS,
+        on_change=boxes.extend,
+        is_refused=lambda _: "",
+        on_refused=pytest.fail,
+        on_click=nothing,
+    )
+    obstacle_editor.add((4.1, 0.0), (0.4, 0.4))
+    assert len(boxes) == 1
+    drawn = scene._handle_from_node_name["/map/box_0"]
+    assert drawn.position[2] == pytest.approx(0.6 + WALL_HEIGHT_M / 2)
+
+
+def mesh(boxes: list[list[float]], rise_m: float = 1.0) -> trimesh.Trimesh:
+    vertices_m, faces = solid(np.array(boxes), base_m=0.0, rise_m=rise_m, cell_m=0.5)
+    return trimesh.Trimesh(vertices_m, faces, process=False)
+
+
+def test_two_boxes_that_touch_have_the_faces_of_one():
+    # 2 x 1 m and 1 m high, cut in two: a lid in two pieces, and five upright faces less.
+    drawn = mesh([[0.5, 0.5, 0.5, 0.5, 0.0], [1.5, 0.5, 0.5, 0.5, 0.0]])
+    assert drawn.area == pytest.approx(2 * 1 + (2 + 1 + 2 + 1) * 1)
+    assert len(drawn.faces) == 2 * (2 + 4)
+    lo, hi = drawn.bounds
+    assert (*lo, *hi) == pytest.approx((0, 0, 0, 2, 1, 1))
+
+
+def test_the_higher_one_shows_what_the_lower_one_does_not_hide():
+    drawn = mesh([[0.5, 0.5, 0.5, 0.5, 0.0], [1.5, 0.5, 0.5, 0.5, 0.5]])
+    step = (drawn.triangles_center[:, 0] == 1.0) & (np.abs(drawn.face_normals[:, 0]) > 0.5)
+    assert drawn.area_faces[step].sum() == pytest.approx(0.5)
+    # It looks to where it is lower.
+    assert drawn.face_normals[step, 0] == pytest.approx(-1)
+
+
+def test_all_faces_look_outward():
+    drawn = mesh([[-1.25, 3.0, 0.75, 0.5, 0.0]])
+    away = drawn.triangles_center - (-1.25, 3.0, 0.5)
+    assert len(away) == 10
+    assert (np.einsum("fi,fi->f", drawn.face_normals, away) > 0.4).all()
