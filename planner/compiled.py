@@ -18,6 +18,7 @@ from numpy.typing import DTypeLike, NDArray
 # any, for its caller holds all that it is given.
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 _jit: Any = njit  # its types do not know of the option
 
 
@@ -56,6 +57,16 @@ def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
     memory = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     memory.madvise(mmap.MADV_NOHUGEPAGE)
     return np.frombuffer(memory, dtype)
+
+
+@njit_arrays
+def with_room(array: NDArray[_Scalar], used: int, more: int) -> NDArray[_Scalar]:
+    """The array, or a longer one that begins with the first `used`, so that as many more fit."""
+    if used + more <= len(array):
+        return array
+    longer = np.empty(2 * (used + more), array.dtype)
+    longer[:used] = array[:used]
+    return longer
 
 
 def tiled(cols: int, rows: int) -> int:

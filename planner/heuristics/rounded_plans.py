@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import box_free
-from planner.compiled import njit_no_refcount, zeros
+from planner.compiled import njit_no_refcount, with_room, zeros
 from planner.heuristics.potential import Potential
 from planner.heuristics.wavefront import NOWHERE_UM
 from planner.lattice.lattice import BLOCKED, FREE, UNKNOWN, Int32s, Int64s, Lattice, to_grid
@@ -215,12 +215,12 @@ def rounded_costs(
         _near_points(lattice, rounded, rows, start_um),
     )
     seeds = _points_around(lattice, rounded, ends)
-    work = _with_room(work, len(seeds))
+    work = _with_entries(work, len(seeds))
     _seed(rounded, work, seeds, final_cost_um(model))
     while work.scalars[_WAITING] > 0:
         if not go_on():
             return None
-        work = _with_room(work, _TURN * steps.shape[1])
+        work = _with_entries(work, _TURN * steps.shape[1])
         _spread(lattice, rounded, work, _TURN)
     return rounded
 
@@ -261,15 +261,12 @@ def _near_points(
     return near_um.reshape(-1)
 
 
-def _with_room(work: Work, entries: int) -> Work:
+def _with_entries(work: Work, entries: int) -> Work:
     """The search with room for so many more entries."""
     used = int(work.scalars[_USED])
-    if used + entries <= len(work.node):
-        return work
-    room = 2 * used + entries
-    node, after = np.empty(room, np.int32), np.empty(room, np.int32)
-    node[:used], after[:used] = work.node[:used], work.after[:used]
-    return work._replace(node=node, after=after)
+    return work._replace(
+        node=with_room(work.node, used, entries), after=with_room(work.after, used, entries)
+    )
 
 
 @njit_no_refcount

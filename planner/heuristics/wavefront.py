@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain, clearance_at, point_clearance
-from planner.compiled import njit_arrays, njit_no_refcount
+from planner.compiled import njit_arrays, njit_no_refcount, with_room
 from planner.heuristics.potential import MOVES, Potential
 from planner.lattice.lattice import Int64s, Lattice
 
@@ -199,12 +199,12 @@ def _spread_on(
 @njit_arrays
 def _with_more_room(queue: Queue) -> Queue:
     """The queue with room for twice as many entries."""
-    cells, costs, after = queue.cells, queue.costs, queue.after
+    used = len(queue.cells)
     return Queue(
         queue.head,
-        np.concatenate((cells, np.empty_like(cells))),
-        np.concatenate((costs, np.empty_like(costs))),
-        np.concatenate((after, np.empty_like(after))),
+        with_room(queue.cells, used, 1),
+        with_room(queue.costs, used, 1),
+        with_room(queue.after, used, 1),
         queue.at,
     )
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import BITS, njit_arrays, njit_no_refcount, slot_of, take_slot
+from planner.compiled import BITS, njit_arrays, njit_no_refcount, slot_of, take_slot, with_room
 from planner.heuristics.heuristic import Heuristic, estimate
 from planner.lattice.goal_region import may_end_at
 from planner.lattice.lattice import (
@@ -173,7 +173,7 @@ def remove_invalid(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> No
             known: int = np.int64(tree.cost_um[slot])  # type: ignore[assignment]
             if known == 0 or _is_still_reached(lattice, tree, node, known):
                 continue
-            removed = _with_room(removed, number)
+            removed = with_room(removed, number, 1)
             removed[number] = node
             number += 1
             tree.cost_um[slot] = 0
@@ -188,7 +188,7 @@ def remove_invalid(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> No
             if tree.steps[row, k, COST_UM] == 0 or tree.cost_um[slot] == 0:
                 continue
             if tree.parent[slot] == node:
-                removed = _with_room(removed, number)
+                removed = with_room(removed, number, 1)
                 removed[number] = to
                 number += 1
                 tree.cost_um[slot] = 0
@@ -242,7 +242,7 @@ def nodes_to_reopen(
             ):
                 continue
             tree.closed_in[slot] = _MARK
-            found = _with_room(found, number)
+            found = with_room(found, number, 1)
             found[number] = near
             number += 1
     for i in range(len(cells)):
@@ -253,7 +253,7 @@ def nodes_to_reopen(
                 continue
             if _can_lower_successor(lattice, tree, node, tree.cost_um[slot]):
                 tree.closed_in[slot] = _MARK
-                found = _with_room(found, number)
+                found = with_room(found, number, 1)
                 found[number] = node
                 number += 1
     for i in range(number):
@@ -274,11 +274,3 @@ def _can_lower_successor(lattice: Lattice, tree: Tree, node: int, cost_um: int) 
         if is_lower and node_free(lattice, to):
             return True
     return False
-
-
-@njit_arrays
-def _with_room(nodes: Nodes, used: int) -> Nodes:
-    """The array, twice as long once it is full."""
-    if used < len(nodes):
-        return nodes
-    return np.concatenate((nodes, np.empty_like(nodes)))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.compiled import njit_arrays, slot_of, slots_of, zeros
+from planner.compiled import njit_arrays, slot_of, slots_of, with_room, zeros
 from planner.heuristics.distance_field import (
     BodyPath,
     draw_path,
@@ -251,9 +251,10 @@ def new_tree(lattice: Lattice, steps: Int64s, is_backward: bool) -> Tree:
 def with_longer_queue(tree: Tree) -> Tree:
     """The tree with room for twice as many queue entries."""
     used = len(tree.entry_node)
-    entry_node, entry_next = np.empty(2 * used, np.int32), np.empty(2 * used, np.int32)
-    entry_node[:used], entry_next[:used] = tree.entry_node, tree.entry_next
-    return tree._replace(entry_node=entry_node, entry_next=entry_next)
+    return tree._replace(
+        entry_node=with_room(tree.entry_node, used, 1),
+        entry_next=with_room(tree.entry_next, used, 1),
+    )
 
 
 @njit_arrays

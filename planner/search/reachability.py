@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_no_refcount, zeros
+from planner.compiled import njit_no_refcount, with_room, zeros
 from planner.lattice.lattice import (
     COST_UM,
     D_HALF,
@@ -79,8 +79,8 @@ def new_flood(lattice: Lattice, seeds: NDArray[np.int64], goals: NDArray[np.int6
     return Flood(
         seen=seen,
         back_steps=turned_round(lattice.steps),
-        forward=_with_room(forward, lattice.steps.shape[1]),
-        backward=_with_room(backward, lattice.steps.shape[1]),
+        forward=with_room(forward, len(forward), lattice.steps.shape[1]),
+        backward=with_room(backward, len(backward), lattice.steps.shape[1]),
         ends=np.array([len(forward), len(forward), len(backward), len(backward)]),
     )
 
@@ -93,8 +93,8 @@ def expand_both(lattice: Lattice, flood: Flood, budget: int) -> tuple[Flood, Ver
         chunk = min(_CHUNK, budget - done)
         most = chunk * lattice.steps.shape[1]
         flood = flood._replace(
-            forward=_with_room(flood.forward, most, int(flood.ends[0])),
-            backward=_with_room(flood.backward, most, int(flood.ends[2])),
+            forward=with_room(flood.forward, int(flood.ends[0]), most),
+            backward=with_room(flood.backward, int(flood.ends[2]), most),
         )
         for stack, steps, mine, at, dry in (
             (flood.backward, flood.back_steps, BACKWARD, 2, Verdict.GOAL_ENCLOSED),
@@ -105,16 +105,6 @@ def expand_both(lattice: Lattice, flood: Flood, budget: int) -> tuple[Flood, Ver
             if flood.ends[at] == 0:
                 return flood, dry
     return flood, Verdict.OPEN
-
-
-def _with_room(stack: NDArray[np.int32], room: int, used: int | None = None) -> NDArray[np.int32]:
-    """The stack, copied to a longer one if it has no room for so many more."""
-    used = len(stack) if used is None else used
-    if len(stack) >= used + room:
-        return stack
-    longer = np.empty(2 * (used + room), np.int32)
-    longer[:used] = stack[:used]
-    return longer
 
 
 @njit_no_refcount
