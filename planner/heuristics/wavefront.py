@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planner.collision import Terrain, clearance_at, point_clearance
 from planner.compiled import njit_arrays, njit_no_refcount, with_room
 from planner.heuristics.potential import MOVES, Potential
-from planner.lattice.lattice import Int64s, Lattice
+from planner.lattice.lattice import Int64s, Lattice, out_of_frame
 
 NOWHERE_UM = 1 << 30
 SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
@@ -257,9 +257,8 @@ def _on_map(
     plane: tuple[tuple[float, float, float, float], float, int, int], col: int, row: int
 ) -> tuple[float, float]:
     """A cell's point in the grid frame."""
-    (ox, oy, cos, sin), cell_m, origin_col, origin_row = plane
-    x, y = (col - origin_col) * cell_m, (row - origin_row) * cell_m
-    return ox + cos * x - sin * y, oy + sin * x + cos * y
+    frame, cell_m, origin_col, origin_row = plane
+    return out_of_frame(frame, (col - origin_col) * cell_m, (row - origin_row) * cell_m)
 
 
 @njit_no_refcount

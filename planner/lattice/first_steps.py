@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from planner.collision import box_free, clearance_at
 from planner.compiled import njit_arrays, njit_no_refcount
-from planner.lattice.lattice import Lattice, clearance_cost, first_climbs, node_free, radius_of
+from planner.lattice.lattice import (
+    Lattice,
+    clearance_cost,
+    first_climbs,
+    node_free,
+    radius_of,
+    to_grid,
+)
 from planner.lattice.steps import allowed, step_cost_um
 from planner.robot_model import Side, StepModel
 
@@ -125,8 +132,7 @@ def _check_first(
     """Marks the nodes (n,) whose foot and body are free, and adds the cost of clearance."""
     terrain = lattice.terrain
     clearance_m, size_m, radius_m = terrain.clearance_m, terrain.resolution_m, radius_of(body)
-    ox, oy, frame_cos, frame_sin = lattice.frame
-    frame_yaw = math.atan2(frame_sin, frame_cos)
+    frame_yaw = math.atan2(lattice.frame[3], lattice.frame[2])
     for i in range(len(nodes)):
         if not node_free(lattice, nodes[i]):
             continue
@@ -134,7 +140,7 @@ def _check_first(
         x, y = 0.5 * (poses[i, 0] + support[0]), 0.5 * (poses[i, 1] + support[1])
         turn = (poses[i, 2] - support[2] + math.pi) % (2 * math.pi) - math.pi
         yaw = frame_yaw + support[2] + 0.5 * turn
-        gx, gy = ox + frame_cos * x - frame_sin * y, oy + frame_sin * x + frame_cos * y
+        gx, gy = to_grid(lattice, x, y)
         clear_m = clearance_at(clearance_m, size_m, gx, gy)
         if clear_m > radius_m or box_free(
             terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]
@@ -149,13 +155,12 @@ def _check_climbs(
     lattice: Lattice, nodes: Int64s, feet: FloatArray, feet_um: Int64s, free: NDArray[np.bool_]
 ) -> None:
     """Unmarks the nodes (n,) that are too high, too low or behind ground that is too high."""
-    ox, oy, frame_cos, frame_sin = lattice.frame
+    frame_yaw = math.atan2(lattice.frame[3], lattice.frame[2])
     for i in range(len(nodes)):
         if free[i]:
             side = 1 - (nodes[i] & 1)
             support = feet[side]
-            yaw = math.atan2(frame_sin, frame_cos) + support[2]
-            x = ox + frame_cos * support[0] - frame_sin * support[1]
-            y = oy + frame_sin * support[0] + frame_cos * support[1]
+            yaw = frame_yaw + support[2]
+            x, y = to_grid(lattice, support[0], support[1])
             foot = x, y, math.cos(yaw), math.sin(yaw)
             free[i] = first_climbs(lattice, foot, feet_um[side], nodes[i])

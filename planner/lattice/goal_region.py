@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, box_free, box_heights
 from planner.compiled import njit_arrays, njit_no_refcount, slot_of
-from planner.lattice.lattice import Int64s, Lattice, node_free, to_grid
+from planner.lattice.lattice import (
+    Int64s,
+    Lattice,
+    decoded,
+    node_foot,
+    node_free,
+    node_pose,
+    to_grid,
+)
 
 _ROUNDING = 1e-9
 
@@ -61,14 +69,19 @@ def beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
 
     In the frame of the lattice.
     """
-    heading = (node >> 1) % lattice.headings
-    cell = (node >> 1) // lattice.headings
+    x, y, yaw = node_pose(lattice, node)
     out = (1 - 2 * (node & 1)) * lattice.half_stance_m
-    yaw = heading * (2.0 * math.pi / lattice.headings)
-    x = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
-    y = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m + out
     over_x, over_y = out * math.sin(yaw), -out * math.cos(yaw)
     return x + 2.0 * over_x, y + 2.0 * over_y, x + over_x, y + over_y
+
+
+@njit_no_refcount
+def _foot_beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
+    """As `node_foot`, of the other foot beside that of a node."""
+    foot_x, foot_y, _, _ = beside(lattice, node)
+    x, y = to_grid(lattice, foot_x, foot_y)
+    _, _, cos, sin = node_foot(lattice, node)
+    return x, y, cos, sin
 
 
 @njit_no_refcount
@@ -76,10 +89,7 @@ def may_end_at(lattice: Lattice, node: int) -> bool:
     """Whether both feet may stand side by side, one of them at a node."""
     if not node_free(lattice, node):
         return False
-    foot_x, foot_y, _, _ = beside(lattice, node)
-    x, y = to_grid(lattice, foot_x, foot_y)
-    heading = (node >> 1) % lattice.headings
-    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
+    x, y, cos, sin = _foot_beside(lattice, node)
     if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
         return False
     if len(lattice.node_um) == 0:
@@ -95,10 +105,7 @@ def height_beside(lattice: Lattice, node: int) -> int:
     """Height in micrometres of the ground under the other foot beside that of a node."""
     if len(lattice.node_um) == 0:
         return 0
-    foot_x, foot_y, _, _ = beside(lattice, node)
-    x, y = to_grid(lattice, foot_x, foot_y)
-    heading = (node >> 1) % lattice.headings
-    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
+    x, y, cos, sin = _foot_beside(lattice, node)
     return box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])[1]
 
 
@@ -109,7 +116,7 @@ def _may_end(
     """Which of the nodes (n,) stand for free poses of the region."""
     free = np.zeros(len(nodes), np.bool_)
     for i in range(len(nodes)):
-        heading = (nodes[i] >> 1) % lattice.headings
+        _, _, heading, _ = decoded(lattice, nodes[i])
         turn = min(heading, lattice.headings - heading) * (2.0 * math.pi / lattice.headings)
         _, _, x, y = beside(lattice, nodes[i])
         near = turn <= reach_rad + _ROUNDING and math.hypot(x, y) <= reach_m + _ROUNDING

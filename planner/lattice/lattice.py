@@ -23,7 +23,15 @@ from planner.collision import (
     highest_between,
     point_clearance,
 )
-from planner.compiled import Slots, njit_no_refcount, slot_of, slots_for, take_slot, zeros
+from planner.compiled import (
+    Slots,
+    njit_arrays,
+    njit_no_refcount,
+    slot_of,
+    slots_for,
+    take_slot,
+    zeros,
+)
 from planner.lattice.steps import MICRO, StepTable
 from planner.robot_model import StepModel
 
@@ -202,10 +210,52 @@ def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, 
 
 
 @njit_no_refcount
+def out_of_frame(
+    frame: tuple[float, float, float, float], x: float, y: float
+) -> tuple[float, float]:
+    """Point of a frame, given by x, y, cos and sin, in the frame that it is given in."""
+    ox, oy, cos, sin = frame
+    return ox + cos * x - sin * y, oy + sin * x + cos * y
+
+
+@njit_no_refcount
 def to_grid(lattice: Lattice, x: float, y: float) -> tuple[float, float]:
     """Point of the lattice frame in the grid frame."""
-    ox, oy, cos, sin = lattice.frame
-    return ox + cos * x - sin * y, oy + sin * x + cos * y
+    return out_of_frame(lattice.frame, x, y)
+
+
+@njit_no_refcount
+def decoded(lattice: Lattice, node: int) -> tuple[int, int, int, int]:
+    """Column and row of a node, both from the goal's cell, its heading and its side."""
+    cell = (node >> 1) // lattice.headings
+    col, row = cell % lattice.cols - lattice.origin_col, cell // lattice.cols - lattice.origin_row
+    return col, row, (node >> 1) % lattice.headings, node & 1
+
+
+@njit_no_refcount
+def node_pose(lattice: Lattice, node: int) -> tuple[float, float, float]:
+    """x, y and yaw of the foot of a node in the lattice frame."""
+    col, row, heading, side = decoded(lattice, node)
+    y = row * lattice.cell_m + (1 - 2 * side) * lattice.half_stance_m
+    return col * lattice.cell_m, y, heading * (2.0 * math.pi / lattice.headings)
+
+
+@njit_arrays
+def node_poses(lattice: Lattice, nodes: Int64s) -> Floats:
+    """`node_pose` (n, 3) of nodes (n,)."""
+    poses = np.empty((len(nodes), 3))
+    for i in range(len(nodes)):
+        poses[i] = node_pose(lattice, nodes[i])
+    return poses
+
+
+@njit_no_refcount
+def node_foot(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
+    """Where the foot of a node is, x and y in the grid frame, and cosine and sine of its yaw."""
+    x, y, _ = node_pose(lattice, node)
+    x, y = to_grid(lattice, x, y)
+    heading = (node >> 1) % lattice.headings
+    return x, y, lattice.cos[2 * heading], lattice.sin[2 * heading]
 
 
 @njit_no_refcount
@@ -258,14 +308,7 @@ def radius_of(half_box: tuple[float, float]) -> float:
 
 @njit_no_refcount
 def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
-    side = node & 1
-    heading = (node >> 1) % lattice.headings
-    cell = (node >> 1) // lattice.headings
-    row, col = cell // lattice.cols - lattice.origin_row, cell % lattice.cols - lattice.origin_col
-    out = 1 - 2 * side
-    foot_y = row * lattice.cell_m + out * lattice.half_stance_m
-    x, y = to_grid(lattice, col * lattice.cell_m, foot_y)
-    cos, sin = lattice.cos[2 * heading], lattice.sin[2 * heading]
+    x, y, cos, sin = node_foot(lattice, node)
     if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
         return False
     if len(lattice.node_um) > 0:
@@ -273,20 +316,23 @@ def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
         if high - low > lattice.climb_um[2]:
             return False
         lattice.node_um[slot] = high
-    inward = out * lattice.half_stance_m
+    inward = (1 - 2 * (node & 1)) * lattice.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
     return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body[0], lattice.body[1])
 
 
 @njit_no_refcount
-def half_clearance(lattice: Lattice, half: int) -> float:
-    """Clearance in metres of a point of the grid of half cells.
-
-    half = row * 2 * cols + col.
-    """
+def _half_point(lattice: Lattice, half: int) -> tuple[float, float]:
+    """Point half = row * 2 * cols + col of the grid of half cells, in the grid frame."""
     width = 2 * lattice.cols
     row, col = half // width - 2 * lattice.origin_row, half % width - 2 * lattice.origin_col
-    x, y = to_grid(lattice, 0.5 * col * lattice.cell_m, 0.5 * row * lattice.cell_m)
+    return to_grid(lattice, 0.5 * col * lattice.cell_m, 0.5 * row * lattice.cell_m)
+
+
+@njit_no_refcount
+def half_clearance(lattice: Lattice, half: int) -> float:
+    """Clearance in metres of a point of the grid of half cells, see `_half_point`."""
+    x, y = _half_point(lattice, half)
     return point_clearance(lattice.terrain, x, y)
 
 
@@ -299,9 +345,7 @@ def pair_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     if stored >> 1 == key >> 1:
         return (stored & 1) == 1
     half_l, half_w = lattice.body
-    width = 2 * lattice.cols
-    row, col = half // width - 2 * lattice.origin_row, half % width - 2 * lattice.origin_col
-    x, y = to_grid(lattice, 0.5 * col * lattice.cell_m, 0.5 * row * lattice.cell_m)
+    x, y = _half_point(lattice, half)
     free = box_free(
         lattice.terrain, x, y, lattice.cos[half_heading], lattice.sin[half_heading], half_l, half_w
     )
@@ -335,17 +379,6 @@ def clearance_cost(lattice: Lattice, clearance_m: float) -> int:
 # both the ground must be no higher than what the swing clears.
 
 Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
-
-
-@njit_no_refcount
-def node_foot(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
-    """Where the foot of a node is, x and y in the grid frame, and cosine and sine of its yaw."""
-    heading = (node >> 1) % lattice.headings
-    cell = (node >> 1) // lattice.headings
-    row, col = cell // lattice.cols - lattice.origin_row, cell % lattice.cols - lattice.origin_col
-    foot_y = row * lattice.cell_m + (1 - 2 * (node & 1)) * lattice.half_stance_m
-    x, y = to_grid(lattice, col * lattice.cell_m, foot_y)
-    return x, y, lattice.cos[2 * heading], lattice.sin[2 * heading]
 
 
 @njit_no_refcount

@@ -49,6 +49,7 @@ from planner.lattice.lattice import (
     check_node,
     clearance_cost,
     far_from_all,
+    out_of_frame,
     pair_free,
     radius_of,
     step_climbs,
@@ -346,7 +347,7 @@ def _expand_node(
     steps, node_state, parent = tree.steps, lattice.node_state, tree.parent
     of_block, used = lattice.slots.of_block, lattice.slots.used
     clearance_m, size_m = lattice.terrain.clearance_m, lattice.terrain.resolution_m
-    (ox, oy, cos, sin), cell_m = lattice.frame, lattice.cell_m
+    frame, cell_m = lattice.frame, lattice.cell_m
     turn_cos, turn_sin = lattice.cos, lattice.sin
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
@@ -388,7 +389,7 @@ def _expand_node(
         if state == UNKNOWN:
             # The other foot steps, and its body is on the side of this one.
             x, y = (across + d_col) * cell_m, (up + d_row) * cell_m - inward_m
-            foot = ox + cos * x - sin * y, oy + sin * x + cos * y
+            foot = out_of_frame(frame, x, y)
             turn = turn_cos[to_row & ~1], turn_sin[to_row & ~1]
             if uneven or not far_from_all(clearance_m, size_m, foot, turn, inward_m, radii_m):
                 state = check_node(lattice, to, at)
@@ -418,7 +419,7 @@ def _expand_node(
             if cost + value >= limit_um:
                 continue
         x, y = (across + 0.5 * d_col) * cell_m, (up + 0.5 * d_row) * cell_m
-        x, y = ox + cos * x - sin * y, oy + sin * x + cos * y
+        x, y = out_of_frame(frame, x, y)
         clear_m = clearance_at(clearance_m, size_m, x, y)
         if clear_m <= radii_m[1]:
             half = half_base + steps[row, k, D_HALF]

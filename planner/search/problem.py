@@ -30,7 +30,7 @@ from planner.heuristics.heuristic import (
 from planner.heuristics.turning import no_detours, straight_cost
 from planner.lattice.first_steps import first_steps
 from planner.lattice.goal_region import POINT, GoalRegion, beside, ends_in, height_beside
-from planner.lattice.lattice import Int64s, Lattice, turned_round
+from planner.lattice.lattice import Int64s, Lattice, node_poses, turned_round
 from planner.lattice.map_change import change_between, over
 from planner.lattice.steps import MICRO, final_cost_um
 from planner.options import FULL
@@ -394,25 +394,16 @@ def result_of(
     time_to_first_s: float,
 ) -> Result:
     """The plan whose steps are the nodes (N - 1,) and then the other foot beside the last."""
-    lattice, model, last = request.lattice, request.model, int(nodes[-1])
+    lattice, last = request.lattice, int(nodes[-1])
     side = (nodes & 1).astype(np.int8)
-    heading = (nodes >> 1) % lattice.headings
-    cell = (nodes >> 1) // lattice.headings
-    col = (cell % lattice.cols - lattice.origin_col).astype(float)
-    row = (cell // lattice.cols - lattice.origin_row).astype(float)
-    out = 1 - 2 * side  # `Side.outward`
-    position = np.column_stack(
-        [col * model.cell_m, row * model.cell_m + out * model.stance_width_m / 2]
-    )
-    yaw_rad = heading * (2 * np.pi / lattice.headings)
-    poses = np.column_stack([position, yaw_rad])
+    poses = node_poses(lattice, nodes)
     height_um = np.zeros(len(nodes))
     if len(lattice.node_um):
         height_um = lattice.node_um[slots_of(lattice.slots, nodes)].astype(np.float64)
     return Result(
         status=PlanStatus.FOUND,
         side=np.append(side, 1 - side[-1]),
-        pose_lattice=np.vstack([poses, (*beside(lattice, last)[:2], yaw_rad[-1])]),
+        pose_lattice=np.vstack([poses, (*beside(lattice, last)[:2], poses[-1, 2])]),
         z_m=np.append(height_um, height_beside(lattice, last)) / MICRO,
         cost_m=cost_um / MICRO,
         epsilon=epsilon,
