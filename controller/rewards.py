@@ -140,7 +140,6 @@ def reward_inputs(
     heading = targets[:, 1, 3] + 0.5 * wrap_angle(targets[:, 0, 3] - targets[:, 1, 3])
     weight_n = walker.robot.weight_n
     force_z_n = sim.sensors[:, :, sensors.ground_force_world[:, 2]]
-    sole_speed = np.linalg.norm(latest[:, sensors.sole_linvel_world], axis=2)
     joint_speed = sim.qvel[:, walker.scene.joint_qvel]
     joint_speed_change = joint_speed - step.joint_speed_rad_s
     posture = qpos[:, walker.scene.joint_qpos] - walker.robot.half_sitting_rad
@@ -148,7 +147,6 @@ def reward_inputs(
     return RewardInputs(
         support_indicator=step.support_indicator,
         ground_force_weights=force_z_n.mean(axis=1) / weight_n,
-        sole_speed_m_s=sole_speed,
         foot_error_m=np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2),
         foot_heading_error_rad=np.abs(wrap_angle(soles[..., 3] - targets[..., 3])),
         target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
@@ -172,7 +170,7 @@ def reward_inputs(
 
 
 def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[str, np.ndarray]:
-    """The inputs that treat the swing foot apart, from the soles (B, 2, 4) after the action."""
+    """The inputs on swing and sole motion, from the soles (B, 2, 4) after the action."""
     sim, sensors, targets = walker.sim, walker.scene.sensors, step.foot_targets
     rows = np.flatnonzero(step.swinging)
     foot = rows, step.side[rows]
@@ -193,6 +191,7 @@ def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[
     overspeed_m_s = np.where(heights_m < NEAR_GROUND_M, speeds_m_s - allowed_m_s, 0.0)
     return {
         "swing_share": share,
+        "sole_speed_m_s": speeds_m_s[:, -1],
         "sole_height_m": height_m,
         "swing_height_error_m": height_error_m,
         "climb_m": climb_m,
