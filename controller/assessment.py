@@ -148,7 +148,7 @@ def _run_episodes(task: WalkTask, policy: Policy) -> ModeResult:
     for _ in range(task.config.episode_ticks):
         foot = rows, task.walker.cursor.side
         target = task.walker.cursor.foot_targets[foot]
-        step = task.step(policy.act_scaled(observation))
+        step = task.step(policy.act(task.unscaled(observation)))
         observation = step.observation
         ticks += alive
         counted = alive & step.landed

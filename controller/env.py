@@ -259,6 +259,11 @@ class WalkTask:
             return self._true_observation
         return (self._disturbances.sense(self._rng, observation) - offset) / scale
 
+    def unscaled(self, observation: np.ndarray) -> np.ndarray:
+        """The observation before scaling: a policy brings its own scale."""
+        offset, scale = self._policy_normaliser
+        return observation * scale + offset
+
     def step(self, action: np.ndarray) -> Transition:
         """Act on every robot, reward it, and start new episodes where one has ended."""
         targets = StepTargets.of(self.walker)
@@ -274,6 +279,10 @@ class WalkTask:
         truncated = ~terminated & (self.ticks >= self.config.episode_ticks)
         height_error_m = (self.walker.soles_world() - targets.foot_targets)[foot][:, 2]
         on_stairs = self._episodes.on_stairs.copy()
+        if self.stage.disturbance_level > 0 and self.config.randomization.moved_share > 0:
+            self._disturbances.move_steps(
+                self._rng, self.walker, self.stage.disturbance_level, np.flatnonzero(~on_stairs)
+            )
         self.reset(np.flatnonzero(terminated | truncated))
         observation = self.observe()
         return Transition(

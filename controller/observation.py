@@ -15,19 +15,21 @@ from sim.robot import Robot
 
 # Training clips scaled observations to this, so that outliers do not dominate the updates.
 SCALED_LIMIT = 10.0
+# Of a step's x, y, z, heading. A stair of a few centimetres must stand out from level ground.
+STEP_SCALE = (0.3, 0.3, 0.05, 0.3)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ObsField:
     """One group of observed numbers, its mirror map and its fixed scale.
 
-    The mirrored field is `sign * field[..., index]`. The policy is given field / scale.
+    The mirrored field is `sign * field[..., index]`. The policy is given (field - offset) / scale.
     """
 
     name: str
     index: np.ndarray
     sign: np.ndarray
-    scale: float
+    scale: np.ndarray
     offset: np.ndarray
 
     @property
@@ -39,7 +41,7 @@ class ObsField:
 def _field(
     name: str,
     sign: tuple[float, ...],
-    scale: float,
+    scale: float | tuple[float, ...],
     index: np.ndarray | None = None,
     offset: np.ndarray | None = None,
 ) -> ObsField:
@@ -47,7 +49,7 @@ def _field(
         name=name,
         index=np.arange(len(sign)) if index is None else index,
         sign=np.array(sign, dtype=float),
-        scale=scale,
+        scale=np.broadcast_to(np.asarray(scale, dtype=float), len(sign)),
         offset=np.zeros(len(sign)) if offset is None else offset,
     )
 
@@ -66,8 +68,8 @@ def policy_fields(robot: Robot) -> tuple[ObsField, ...]:
         _field("joint_pos_rad", joint_sign, 0.5, index, robot.half_sitting_rad),
         _field("joint_vel_rad_s", joint_sign, 4.0, index),
         _field("clock", (-1, -1), 1.0),
-        _field("step_1", (1, -1, 1, -1), 0.3),
-        _field("step_2", (1, -1, 1, -1), 0.3),
+        _field("step_1", (1, -1, 1, -1), STEP_SCALE),
+        _field("step_2", (1, -1, 1, -1), STEP_SCALE),
         _field("step_s", (1, 1), 0.3, offset=np.full(2, robot.gait.step_s)),
     )
 
@@ -101,7 +103,7 @@ def layout(fields: tuple[ObsField, ...]) -> list[list[object]]:
 def normaliser(fields: tuple[ObsField, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Offset (N,) and scale (N,): the policy is given (observation - offset) / scale."""
     offset = np.concatenate([field.offset for field in fields])
-    scale = np.concatenate([np.full(field.width, field.scale) for field in fields])
+    scale = np.concatenate([field.scale for field in fields])
     return offset, scale
 
 

@@ -12,7 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from controller.gait import CONTROL_PERIOD_S
-from planner.robot_model import Interval
+from controller.observation import rotate_xy
+from controller.walker import Walker
+from planner.plan import wrap_angle
+from planner.robot_model import Interval, Side
 from sim.batch import SimBatch
 
 PUSH_TICKS = 4
@@ -22,7 +25,10 @@ PUSH_TICKS = 4
 class DomainRandomization:
     """Ranges of the disturbances, drawn once per episode unless stated otherwise.
 
-    A share `undisturbed_share` of the episodes has no noise, latency or push. Noise is uniform,
+    A share `undisturbed_share` of the episodes has no noise, latency, push or moved step. Of the
+    steps of the others a share `moved_share` moves on level ground, somewhere in the first half of
+    its swing, by up to `moved_m` each along x and outward within the step limits, as the recovery
+    from a push may move one. Noise is uniform,
     drawn at every control step, between minus and plus the episode's amplitude; the amplitude for
     joint speeds is `joint_speed_noise_per_s` (rad/s per rad) times that of joint positions.
     Friction, masses, centre of mass and gains are drawn once per segment of training. Tread errors
@@ -40,7 +46,9 @@ class DomainRandomization:
     latency_share: float = 0.2
     latency_ticks: Interval = (0.0, 1.0)
     push_share: float = 0.25
-    push_n_s: Interval = (0.0, 12.0)
+    push_n_s: Interval = (0.0, 18.0)
+    moved_share: float = 0.2
+    moved_m: float = 0.1
     exact_tread_share: float = 0.3
     tread_error_m: Interval = (0.0, 0.055)
     friction_factor: Interval = (0.7, 1.2)
@@ -69,6 +77,7 @@ class DomainRandomization:
             angular_speed_noise_rad_s=(0.0, 0.0),
             latency_share=0.0,
             push_share=0.0,
+            moved_share=0.0,
             exact_tread_share=0.0,
             tread_error_m=(tread_error_m, tread_error_m),
             friction_factor=(1.0, 1.0),
@@ -106,6 +115,7 @@ class Disturbances:
         self.tilt_noise_rad = np.zeros(count)
         self.angular_speed_noise_rad_s = np.zeros(count)
         self.latency_ticks = np.zeros(count)
+        self.moves_steps = np.zeros(count, dtype=bool)
         self._push_n = np.zeros((count, 3))
         self._push_tick = np.full(count, -PUSH_TICKS)
         self._pushing = False
@@ -116,6 +126,7 @@ class Disturbances:
         config = self.config
         loud = rng.uniform() >= config.undisturbed_share
         scale = level * loud
+        self.moves_steps[row] = scale > 0
         self.joint_noise_rad[row] = math.radians(scale * rng.uniform(*config.joint_noise_deg))
         self.tilt_noise_rad[row] = math.radians(scale * rng.uniform(*config.tilt_noise_deg))
         self.angular_speed_noise_rad_s[row] = scale * rng.uniform(*config.angular_speed_noise_rad_s)
@@ -132,6 +143,7 @@ class Disturbances:
         for noise in (self.joint_noise_rad, self.tilt_noise_rad, self.angular_speed_noise_rad_s):
             noise[row] = 0.0
         self.latency_ticks[row] = 0.0
+        self.moves_steps[row] = False
         self._push_n[row] = 0.0
 
     def draw_tread_error_m(self, rng: np.random.Generator, level: float) -> float:
@@ -160,6 +172,30 @@ class Disturbances:
         if now.any() or self._pushing:
             sim.push(self._push_n * now[:, None])
         self._pushing = bool(now.any())
+
+    def move_steps(
+        self, rng: np.random.Generator, walker: Walker, level: float, rows: np.ndarray
+    ) -> None:
+        """Move the present step, and with it all later ones, of some of the robots `rows` (n,)."""
+        cursor, limits = walker.cursor, walker.robot.training_model.limits
+        half_ticks = cursor.ticks.swing // 2
+        due = self.moves_steps & cursor.swinging & (cursor.tick > 0) & (cursor.tick <= half_ticks)
+        due &= rng.uniform(size=len(due)) * half_ticks < self.config.moved_share
+        rows = rows[due[rows]]
+        if not len(rows):
+            return
+        feet, side = cursor.foot_targets[rows], cursor.side[rows]
+        which, outward = np.arange(len(rows)), np.where(side == Side.LEFT, 1.0, -1.0)
+        support, swing = feet[which, 1 - side], feet[which, side]
+        step = rotate_xy(swing - support, -support[:, 3])[:, :2]
+        step[:, 1] *= outward
+        moved = step + level * self.config.moved_m * rng.uniform(-1, 1, step.shape)
+        moved = np.clip(moved, (limits.x_m[0], limits.y_m[0]), (limits.x_m[1], limits.y_m[1]))
+        turn = outward * wrap_angle(swing[:, 3] - support[:, 3])
+        fits = limits.contain(np.column_stack([moved, turn]), tolerance=1e-6)
+        change = (moved - step) * fits[:, None]
+        change[:, 1] *= outward
+        cursor.shift(rows, rotate_xy(change, support[:, 3]))
 
     def sense(self, rng: np.random.Generator, observation: np.ndarray) -> np.ndarray:
         """The unscaled observation (B, N) with sensor noise on its first fields.

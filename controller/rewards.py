@@ -120,11 +120,14 @@ def swing_ground_m(sole: np.ndarray, start: np.ndarray, target: np.ndarray) -> n
 def swing_height_profile_m(swing_end_s: np.ndarray, climb_m: np.ndarray) -> np.ndarray:
     """Reference height (n,) of a swing foot, from the time (n,) to the nearer end of its swing.
 
-    It leaves and lands with `TOUCHDOWN_M_S`; speed grows with height, dv/dh = `FASTER_PER_S`, up
-    to `SWING_APEX_M` and `APEX_PER_CLIMB` of the height difference (n,) of the footholds.
+    It leaves and lands with `TOUCHDOWN_M_S`. Near the ground speed grows with height, dv/dh =
+    `FASTER_PER_S`; then it levels off smoothly, as tanh does, since a foot that had to stop at once
+    would overshoot. The apex is `SWING_APEX_M` and `APEX_PER_CLIMB` of the height difference (n,)
+    of the footholds.
     """
+    apex_m = SWING_APEX_M + APEX_PER_CLIMB * climb_m
     rising_m = TOUCHDOWN_M_S / FASTER_PER_S * np.expm1(FASTER_PER_S * swing_end_s)
-    return np.asarray(np.minimum(rising_m, SWING_APEX_M + APEX_PER_CLIMB * climb_m))
+    return np.asarray(apex_m * np.tanh(rising_m / apex_m))
 
 
 def reward_inputs(

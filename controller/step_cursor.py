@@ -110,6 +110,15 @@ class StepCursor:
         self.entry[row] = STANCE if walking and steps else 0
         self.tick[row] = 0
 
+    def shift(self, rows: np.ndarray, offset_m: np.ndarray) -> None:
+        """Move the present and all later steps of the robots `rows` (n,) by x, y (n, 2)."""
+        entry = np.arange(self._pose.shape[1])
+        # The entry after the last step is the other foot, which stands: see `follow`.
+        end = (STANCE + self._steps[rows])[:, None]
+        step = np.where(entry == end, entry - STANCE, entry)
+        later = (step >= self.entry[rows, None]) & (entry <= end)
+        self._pose[rows, :, :2] += later[..., None] * offset_m[:, None]
+
     def advance(self) -> np.ndarray:
         """Let one control tick pass; true (B,) where the period of a step has just ended.
 

@@ -11,6 +11,10 @@ from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
 from controller.gait import CONTROL_PERIOD_S
 from controller.randomization import PUSH_TICKS, Disturbances, DomainRandomization
+from controller.step_sequences import draw_sequence
+from controller.walker import Walker
+from planner.plan import relative_step
+from planner.robot_model import Side
 from sim.batch import SimBatch
 from sim.robots import get_robot
 from sim.scene import build_scene
@@ -53,7 +57,7 @@ def test_amplitudes_fill_their_ranges_and_scale_with_the_level(level):
         (np.degrees(disturbances.tilt_noise_rad), 1.0),
         (disturbances.angular_speed_noise_rad_s, 0.1),
         (disturbances.latency_ticks, 1.0),
-        (impulses(disturbances), 12.0),
+        (impulses(disturbances), 18.0),
     ):
         assert amplitude.min() >= 0
         assert 0.95 * highest * level < amplitude.max() <= highest * level * (1 + 1e-9)
@@ -92,6 +96,39 @@ def test_same_seed_same_draws():
     assert np.array_equal(first.joint_noise_rad, again.joint_noise_rad)
     assert np.array_equal(impulses(first), impulses(again))
     assert not np.array_equal(first.joint_noise_rad, other.joint_noise_rad)
+
+
+def test_a_moved_step_keeps_the_limits_and_carries_the_later_ones_along():
+    robot, rng, count = get_robot("jvrc1"), np.random.default_rng(2), 64
+    model = robot.training_model
+    walker = Walker(build_scene(robot, timestep_s=0.005), count=count)
+    feet = walker.scene.soles_at(walker.scene.standing_qpos)
+    for row in range(count):
+        walker.follow(row, draw_sequence(rng, model, feet, mode="arbitrary", steps=4))
+    config = DomainRandomization(undisturbed_share=0.0, moved_share=1.0, moved_m=0.1)
+    disturbances = Disturbances(config, count, len(robot.joints))
+    for row in range(count):
+        disturbances.draw_episode(rng, row, 1.0, ticks=100)
+    allowed, cursor, moves = np.arange(count // 2), walker.cursor, 0
+    for _ in range(250):
+        cursor.advance()
+        window, last = cursor.window.copy(), cursor.step_number == 4
+        disturbances.move_steps(rng, walker, 1.0, allowed)
+        change = cursor.window - window
+        moved = np.flatnonzero(change.any(axis=(1, 2)))
+        assert set(moved) <= set(allowed)
+        assert (cursor.swinging & (2 * cursor.tick <= cursor.ticks.swing))[moved].all()
+        assert not change[..., 2:].any()
+        assert np.abs(change).max() <= np.hypot(0.1, 0.1) + 1e-9
+        # After the last step the window shows the other foot, which stands.
+        assert change[moved, 1] == pytest.approx(change[moved, 0] * ~last[moved, None])
+        for row in moved:
+            side, (left, right) = Side(int(cursor.side[row])), cursor.foot_targets[row]
+            support, swing = (left, right) if side == Side.RIGHT else (right, left)
+            assert model.limits.contain(relative_step(support, swing, side), tolerance=1e-6)
+        moves += len(moved)
+    assert cursor.arrived.all()
+    assert moves > 100
 
 
 def standing_run(stage, randomization, seed=0):

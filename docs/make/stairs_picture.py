@@ -65,7 +65,7 @@ def moments(robot: str, policy: Policy, mode: str, rise_m: float, seed: int) -> 
             pictures.append(
                 cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), None, 0, 0, cv2.INTER_AREA)
             )
-        step = task.step(policy.act_scaled(observation))
+        step = task.step(policy.act(task.unscaled(observation)))
         if step.terminated.any():
             raise RuntimeError(f"the robot fell at tick {tick} of {mode}, seed {seed}")
         observation = step.observation
