@@ -122,7 +122,7 @@ def test_a_moved_step_keeps_the_limits_and_carries_the_later_ones_along():
         assert np.abs(change).max() <= np.hypot(0.1, 0.1) + 1e-9
         # After the last step the window shows the other foot, which stands.
         assert change[moved, 1] == pytest.approx(change[moved, 0] * ~last[moved, None])
-        for row in moved:
+        for row in moved.tolist():
             side, (left, right) = Side(int(cursor.side[row])), cursor.foot_targets[row]
             support, swing = (left, right) if side == Side.RIGHT else (right, left)
             assert model.limits.contain(relative_step(support, swing, side), tolerance=1e-6)

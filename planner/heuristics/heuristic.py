@@ -13,7 +13,6 @@ from planner.compiled import njit_arrays, njit_no_refcount
 from planner.heuristics.distance_field import BodyPath, least_in_cells, spread_from
 from planner.heuristics.goal_table import GoalTable, build_goal_table
 from planner.heuristics.potential import Potential, build_potential
-from planner.heuristics.rounded_plans import NOT_ROUNDED, Rounded, rounded_bound
 from planner.heuristics.turning import (
     Exits,
     Facing,
@@ -45,7 +44,6 @@ class Heuristic(NamedTuple):
     detour_um: NDArray[np.int32]
     rim: NDArray[np.int64]
     radius_cells: int
-    rounded: Rounded = NOT_ROUNDED
 
 
 def of_path(
@@ -96,8 +94,7 @@ def estimate(lattice: Lattice, heuristic: Heuristic, node: int) -> int:
         body,
         row,
     )
-    near = rounded_bound(heuristic.rounded, col - reach, up - reach, row)
-    return max(path + heuristic.potential_um[row], exact, least, near)
+    return max(path + heuristic.potential_um[row], exact, least)
 
 
 @njit_arrays

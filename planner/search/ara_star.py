@@ -14,11 +14,9 @@ from dataclasses import replace
 import numpy as np
 
 from planner.heuristics.heuristic import tables_of
-from planner.heuristics.rounded_plans import rounded_costs, rounded_steps
-from planner.heuristics.wavefront import NOWHERE_UM
 from planner.lattice.lattice import Int64s, Lattice, node_free
 from planner.lattice.steps import MICRO
-from planner.options import FULL, PlannerOptions
+from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.robot_model import StepModel
 from planner.search.best_first import (
@@ -42,7 +40,6 @@ from planner.search.problem import (
     backward_task,
     failure,
     forward_task,
-    heuristic_to_start,
     no_body_path,
     no_first_step,
     result_of,
@@ -58,10 +55,6 @@ _CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock
 # expansions, then FLOOD_TURN nodes of each flood, which double up to FLOOD_TURN_MOST, because the
 # longer there is no plan the likelier there is none.
 FLOOD_AFTER, SEARCH_TURN, FLOOD_TURN, FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
-
-# The bound of rounded plans takes long to make: after so many expansions, on grids from so wide.
-ROUNDED_AFTER = 2_000_000
-_ROUNDED_SPACING_M = 0.03
 
 # Lattices of finer cells are first searched on one of coarse cells, with so many expansions.
 _FINE_CELL_M, _COARSE_CELL_M = 0.03, 0.05
@@ -84,7 +77,6 @@ class AraStar:
         self.task: SearchTask
         self.tree: Tree
         self._first: FirstPlan | None = None
-        self._has_rounded_bound = False
         self._spent = 0  # expansions before this search
         self._flood: Flood | None = None
         self._flood_turn = FLOOD_TURN
@@ -143,10 +135,8 @@ class AraStar:
         self._record_moment(self._best_um)
         if self.proven <= self.options.final_epsilon:
             return False
+        task = self.task
         while True:
-            if self._wants_rounded_bound(epsilon) and self._use_rounded_bound():
-                return True
-            task = self.task
             outcome = expand(task.lattice, task.heuristic, self.tree, epsilon, self._budget())
             if outcome == OUT_OF_ENTRIES:
                 self.tree = with_longer_queue(self.tree)
@@ -178,27 +168,6 @@ class AraStar:
         if self.proven > 1.0:
             self._reorder_open(1.0)
 
-    def _wants_rounded_bound(self, epsilon: float) -> bool:
-        is_fine = self.request.context.coarse is not None
-        return (
-            epsilon == 1.0
-            and self.options.heuristic == FULL
-            and not (self._has_rounded_bound or self.task.is_backward)
-            and self._best_um < NO_COST
-            and self._expansions >= (0 if is_fine else ROUNDED_AFTER)
-        )
-
-    def _use_rounded_bound(self) -> bool:
-        """Adds the bound of rounded plans to the heuristic, once; whether there is one."""
-        self._has_rounded_bound = True
-        task = with_rounded_bound(
-            self.request, self.task, self._best_um, lambda: not self._limit_reached()
-        )
-        if task is None:
-            return False
-        self.task = task
-        return True
-
     def _is_enclosed(self) -> bool:
         """Whether the floods, if it is their turn, prove that no steps lead to the goal."""
         if self._may_be_enclosed() and self._expansions >= FLOOD_AFTER:
@@ -220,8 +189,6 @@ class AraStar:
             budget = min(budget, _CLOCK_EXPANSIONS)
         if self._may_be_enclosed():
             budget = min(budget, max(SEARCH_TURN, FLOOD_AFTER - self._expansions))
-        if not self._has_rounded_bound and self._expansions < ROUNDED_AFTER:
-            budget = min(budget, ROUNDED_AFTER - self._expansions)
         return max(0, min(budget, self._left_to_improve()))
 
     def _left_to_improve(self) -> int:
@@ -307,32 +274,6 @@ def _ratio(cost_um: int, lower_bound_um: int) -> float:
 def _next_epsilon(epsilon: float) -> float:
     """The next weight: two fifths of what is above 1, and 1 itself once that is little."""
     return 1.0 + 0.4 * (epsilon - 1.0) if epsilon > 1.3 else 1.0
-
-
-def with_rounded_bound(
-    request: Request, task: SearchTask, limit_um: int, go_on: Callable[[], bool]
-) -> SearchTask | None:
-    """A forward search with the bound of rounded plans, for plans cheaper than limit_um.
-
-    None where the grid would be too large, or as soon as go_on returns False.
-    """
-    lattice, tables = task.lattice, request.context.tables
-    # Most steps are whole cells; whole numbers of the grid's spacing need no rounding.
-    spacing_m = math.ceil(_ROUNDED_SPACING_M / lattice.cell_m - 1e-9) * lattice.cell_m
-    behind = heuristic_to_start(request, task.roots, task.root_um)
-    start_um = np.where(
-        behind.cost_um > 0, behind.cost_um - 1 + int(behind.potential_um.min()), NOWHERE_UM
-    )
-    steps = rounded_steps(request.model, tables.steps, tables.potential, spacing_m)
-    rounded = rounded_costs(
-        lattice, request.model, steps, spacing_m, request.context.ends, start_um, limit_um, go_on
-    )
-    if rounded is None:
-        return None
-    # The bound by the rim of a circle adds nothing to this one: all is within the circle.
-    everywhere = lattice.cols + lattice.rows
-    heuristic = task.heuristic._replace(rounded=rounded, radius_cells=everywhere)
-    return replace(task, heuristic=heuristic)
 
 
 def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:

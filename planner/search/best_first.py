@@ -31,7 +31,6 @@ from planner.compiled import (
     take_slot,
 )
 from planner.heuristics.heuristic import Heuristic, estimate
-from planner.heuristics.rounded_plans import rounded_bound
 from planner.heuristics.turning import exit_bound
 from planner.lattice.lattice import (
     BLOCKED,
@@ -366,8 +365,6 @@ def _expand_node(
     across, up = across - lattice.origin_col, up - lattice.origin_row
     reach = len(endgame_um) // 2
     uneven = len(lattice.node_um) > 0
-    rounded = heuristic.rounded
-    is_rounded = len(rounded.cost_um) > 0
     improved, limit_um = False, _limit_um(scalars)
     for k in range(steps.shape[1]):
         if steps[row, k, COST_UM] == 0:
@@ -414,10 +411,6 @@ def _expand_node(
         )
         if cost + value >= limit_um:
             continue
-        if is_rounded:
-            value = max(value, rounded_bound(rounded, across + d_col, up + d_row, to_row))
-            if cost + value >= limit_um:
-                continue
         x, y = (across + 0.5 * d_col) * cell_m, (up + 0.5 * d_row) * cell_m
         x, y = out_of_frame(frame, x, y)
         clear_m = clearance_at(clearance_m, size_m, x, y)
