@@ -13,6 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from app.cli import main
 from app.output import ExitCode
@@ -71,6 +72,24 @@ def interrupted(
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=300)
     return process.returncode, err.splitlines()
+
+
+def write_map(folder: Path, picture: Any, suffix: str = ".png", **keys: Any) -> Path:
+    """Writes a picture and its YAML as m.* into a folder; the picture's path. None omits a key."""
+    path = folder / f"m{suffix}"
+    assert cv2.imwrite(str(path), np.asarray(picture))
+    document = {
+        "image": path.name,
+        "resolution": 0.05,
+        "origin": [0.0, 0.0, 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.196,
+        **keys,
+    }
+    document = {key: value for key, value in document.items() if value is not None}
+    path.with_suffix(".yaml").write_text(yaml.safe_dump(document))
+    return path
 
 
 def picture_at(path: Path) -> np.ndarray:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import warnings
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 
 from maps.grid import Cell, OccupancyGrid
-from maps.make_maps import SILLS, STAIRS, draw, draw_heights
-from maps.make_maps import write as write_plan
 from maps.map_files import MapError, MapWarning, load_map, yaml_lines
+from tests.programs import write_map
 
 F, O, U = Cell.FREE, Cell.OCCUPIED, Cell.UNKNOWN  # noqa: E741
 
@@ -21,24 +20,7 @@ F, O, U = Cell.FREE, Cell.OCCUPIED, Cell.UNKNOWN  # noqa: E741
 @pytest.fixture
 def write(tmp_path):
     """Writes an image and its YAML and gives the image's path."""
-
-    def _write(picture, suffix=".png", /, **keys):
-        path = tmp_path / f"m{suffix}"
-        assert cv2.imwrite(str(path), np.asarray(picture))
-        document = {
-            "image": path.name,
-            "resolution": 0.05,
-            "origin": [1.0, 2.0, 0.5],
-            "negate": 0,
-            "occupied_thresh": 0.65,
-            "free_thresh": 0.196,
-            **keys,
-        }
-        document = {key: value for key, value in document.items() if value is not None}
-        path.with_suffix(".yaml").write_text(yaml.safe_dump(document))
-        return path
-
-    return _write
+    return functools.partial(write_map, tmp_path)
 
 
 def row_of(path, **options):
@@ -49,67 +31,63 @@ def row_of(path, **options):
 GREYS = np.array([[0, 89, 90, 204, 205, 206, 255]], np.uint8)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".pgm", ".bmp"])
-def test_greys_fall_on_their_side_of_the_thresholds(write, suffix):
-    # p(89) = 0.651 and p(90) = 0.647 on either side of 0.65; p(205) = 0.19608 is above 0.196,
-    # p(206) = 0.192 below.
-    assert row_of(write(GREYS, suffix)) == [O, O, U, U, U, F, F]
+COLOURS = np.array([[[0, 255, 0], [255, 0, 0], [255, 255, 255]]], np.uint8)
+PER_CENT = np.array([[0, 19, 20, 64, 65, 100, 101, 255]], np.uint8)
+READ_AS_PER_CENT = [F, F, U, U, O, O, U, U]
 
 
-def test_a_jpeg_is_read(write):
-    path = write(np.full((8, 8), 255, np.uint8), ".jpg")
-    assert set(row_of(path)) == {F}
+def not_opaque(greys, alpha):
+    """A picture (1, N, 4)."""
+    picture = np.repeat(np.array([greys], np.uint8)[..., None], 4, axis=2)
+    picture[..., 3] = alpha
+    return picture
 
 
-def test_thresholds_are_met_by_equality(write):
-    # 51 / 255 is 0.2 and 153 / 255 is 0.6, both exact quotients of the greys 204 and 102.
-    path = write([[102, 103, 203, 204]], free_thresh=1 - 204 / 255, occupied_thresh=1 - 102 / 255)
-    assert row_of(path) == [O, U, U, F]
-
-
-def test_negate_swaps_black_and_white(write):
-    assert row_of(write([[0, 40, 100, 166, 255]], negate=1)) == [F, F, U, O, O]
-    assert row_of(write([[0, 255]], negate=True)) == [F, O]
+@pytest.mark.parametrize(
+    ("picture", "keys", "cells"),
+    [
+        # p(89) = 0.651 and p(90) = 0.647 on either side of 0.65; p(205) = 0.19608 is above 0.196,
+        # p(206) = 0.192 below.
+        (GREYS, {}, [O, O, U, U, U, F, F]),
+        (GREYS, {"suffix": ".pgm"}, [O, O, U, U, U, F, F]),
+        (GREYS, {"suffix": ".bmp"}, [O, O, U, U, U, F, F]),
+        (np.full((8, 8), 255, np.uint8), {"suffix": ".jpg"}, [F] * 8),
+        # Thresholds are met by equality: 51 / 255 is 0.2 and 153 / 255 is 0.6, both exact quotients
+        # of the greys 204 and 102.
+        (
+            [[102, 103, 203, 204]],
+            {"free_thresh": 1 - 204 / 255, "occupied_thresh": 1 - 102 / 255},
+            [O, U, U, F],
+        ),
+        ([[0, 40, 100, 166, 255]], {"negate": 1}, [F, F, U, O, O]),
+        ([[0, 255]], {"negate": True}, [F, O]),
+        # What is not opaque is unknown.
+        (not_opaque([255] * 3, (255, 254, 0)), {"mode": "trinary"}, [F, U, U]),
+        (not_opaque([255] * 3, (255, 254, 0)), {"mode": "scale"}, [F, U, U]),
+        # Raw reads the grey as per cent and ignores alpha and negate.
+        (PER_CENT, {"mode": "raw"}, READ_AS_PER_CENT),
+        (PER_CENT, {"mode": "raw", "negate": 1}, READ_AS_PER_CENT),
+        (not_opaque(PER_CENT[0], 0), {"mode": "raw"}, READ_AS_PER_CENT),
+        # Pure green is light (0.587), pure blue dark (0.114): p 0.41 and 0.89.
+        (COLOURS, {}, [U, O, F]),
+        (np.array([[0, 205 * 257, 65535]], np.uint16), {}, [O, U, F]),
+    ],
+)
+def test_a_picture_reads_as_cells(write, picture, keys, cells):
+    assert row_of(write(picture, **keys)) == cells
 
 
 def test_the_top_row_of_the_image_has_the_largest_y(write):
-    grid = load_map(write([[0, 255], [255, 255], [255, 0]], origin=[0, 0, 0]))
+    grid = load_map(write([[0, 255], [255, 255], [255, 0]]))
     assert grid.cells.tolist() == [[F, O], [F, F], [O, F]]
     np.testing.assert_allclose(grid.cell_to_world((2, 0)), (0.025, 0.125))
 
 
 def test_origin_and_resolution_are_the_yamls_unless_given(write):
-    path = write([[255]])
+    path = write([[255]], origin=[1.0, 2.0, 0.5])
     assert load_map(path).origin == (1.0, 2.0, 0.5)
     given = load_map(path, resolution_m=0.2, origin=(-1.0, 0.0, 0.0))
     assert (given.resolution_m, given.origin) == (0.2, (-1.0, 0.0, 0.0))
-
-
-@pytest.mark.parametrize(("mode", "cells"), [("trinary", [F, U, U]), ("scale", [F, U, U])])
-def test_what_is_not_opaque_is_unknown(write, mode, cells):
-    white = np.full((1, 3, 4), 255, np.uint8)
-    white[0, :, 3] = (255, 254, 0)
-    assert row_of(write(white, mode=mode)) == cells
-
-
-def test_raw_reads_the_grey_as_per_cent_and_ignores_alpha_and_negate(write):
-    greys = [[0, 19, 20, 64, 65, 100, 101, 255]]
-    expected = [F, F, U, U, O, O, U, U]
-    assert row_of(write(np.array(greys, np.uint8), mode="raw")) == expected
-    assert row_of(write(np.array(greys, np.uint8), mode="raw", negate=1)) == expected
-    clear = np.zeros((1, 8, 4), np.uint8)
-    clear[0, :, :3] = np.array(greys[0])[:, None]
-    assert row_of(write(clear, mode="raw")) == expected
-
-
-def test_colours_count_by_luminance(write):
-    # Pure green is light (0.587), pure blue dark (0.114): p 0.41 and 0.89.
-    colours = np.array([[[0, 255, 0], [255, 0, 0], [255, 255, 255]]], np.uint8)
-    assert row_of(write(colours)) == [U, O, F]
-
-
-def test_sixteen_bits_count_like_eight(write):
-    assert row_of(write(np.array([[0, 205 * 257, 65535]], np.uint16))) == [O, U, F]
 
 
 def test_a_pgm_with_its_own_white_is_scaled(write):
@@ -238,7 +216,7 @@ def test_files_that_are_not_there_are_named(tmp_path, write):
 
 
 @pytest.fixture
-def write_map(write, tmp_path):
+def write_heights(write, tmp_path):
     """Writes a white map of 3 x 2 cells and, if given, a picture of heights; gives its path."""
 
     def _write(heights=None, suffix=".png", /, **keys):
@@ -261,33 +239,33 @@ HEIGHT_GREYS = np.array([[0, 1, 255], [10, 20, 30]])
 
 
 @pytest.mark.parametrize("suffix", [".png", ".bmp", ".pgm"])
-def test_a_height_is_scale_times_grey_value_with_row_0_at_the_bottom(write_map, suffix):
-    grid = load_map(write_map(HEIGHT_GREYS.astype(np.uint8), suffix))
+def test_a_height_is_scale_times_grey_value_with_row_0_at_the_bottom(write_heights, suffix):
+    grid = load_map(write_heights(HEIGHT_GREYS.astype(np.uint8), suffix))
     assert heights_of(grid).tolist() == [[0.1, 0.2, 0.3], [0.0, 0.01, 2.55]]
     assert grid.height_m([[1.05, 2.05], [1.25, 2.15], [1.15, 2.05]]).tolist() == [0.1, 2.55, 0.2]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".pgm"])
-def test_pictures_of_16_bits_have_65536_heights(write_map, suffix):
+def test_pictures_of_16_bits_have_65536_heights(write_heights, suffix):
     greys = np.array([[0, 1000, 65535], [1, 2, 3]], np.uint16)
-    grid = load_map(write_map(greys, suffix, elevation_scale=0.001, elevation_offset=-5.0))
+    grid = load_map(write_heights(greys, suffix, elevation_scale=0.001, elevation_offset=-5.0))
     assert heights_of(grid).tolist() == [[-4.999, -4.998, -4.997], [-5.0, -4.0, 60.535]]
 
 
-def test_grey_values_of_a_pgm_are_those_in_the_file(write_map, tmp_path):
+def test_grey_values_of_a_pgm_are_those_in_the_file(write_heights, tmp_path):
     # Its white is 100; the map itself would be brightened to 255, heights must not be.
-    path = write_map(HEIGHT_GREYS.astype(np.uint8), ".pgm")
+    path = write_heights(HEIGHT_GREYS.astype(np.uint8), ".pgm")
     (tmp_path / "heights.pgm").write_bytes(b"P5\n3 2\n100\n" + bytes([0, 1, 100, 10, 20, 30]))
     assert heights_of(load_map(path)).tolist() == [[0.1, 0.2, 0.3], [0.0, 0.01, 1.0]]
 
 
-def test_colours_count_by_their_luminance(write_map):
+def test_colours_count_by_their_luminance(write_heights):
     picture = np.repeat(HEIGHT_GREYS.astype(np.uint8)[..., None], 3, axis=2)
-    assert heights_of(load_map(write_map(picture)))[0].tolist() == [0.1, 0.2, 0.3]
+    assert heights_of(load_map(write_heights(picture)))[0].tolist() == [0.1, 0.2, 0.3]
 
 
-def test_a_map_without_heights_is_flat(write_map):
-    grid = load_map(write_map())
+def test_a_map_without_heights_is_flat(write_heights):
+    grid = load_map(write_heights())
     assert grid.elevation_m is None
     assert grid.height_m([[1.05, 2.05], [-9.0, 0.0]]).tolist() == [0.0, 0.0]
 
@@ -306,23 +284,23 @@ def test_a_map_without_heights_is_flat(write_map):
         ({"elevation": "m.yaml"}, "m.yaml: not an image that can be read"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(write_map, keys, message):
-    path = write_map(HEIGHT_GREYS.astype(np.uint8), **keys)
+def test_what_is_wrong_is_said_in_one_line(write_heights, keys, message):
+    path = write_heights(HEIGHT_GREYS.astype(np.uint8), **keys)
     with pytest.raises(MapError) as error:
         load_map(path)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 
-def test_heights_need_the_size_of_the_map(write_map):
-    path = write_map(np.zeros((2, 4), np.uint8))
+def test_heights_need_the_size_of_the_map(write_heights):
+    path = write_heights(np.zeros((2, 4), np.uint8))
     with pytest.raises(MapError, match=r"heights.png: 4 x 2 pixels, but the map m.png has 3 x 2"):
         load_map(path)
 
 
-def test_keys_of_heights_without_a_picture_of_them_are_told_of(write_map):
+def test_keys_of_heights_without_a_picture_of_them_are_told_of(write_heights):
     with pytest.warns(MapWarning, match="`elevation_scale` means nothing without `elevation`"):
-        assert load_map(write_map(elevation_scale=0.1)).elevation_m is None
+        assert load_map(write_heights(elevation_scale=0.1)).elevation_m is None
 
 
 def test_a_grid_refuses_heights_of_another_shape_or_beyond_all_measure():
@@ -340,15 +318,6 @@ def test_the_heights_of_a_grid_are_its_own_and_follow_new_cells():
     assert (heights_of(walled) == 0.25).all()
     with pytest.raises(ValueError, match="read-only"):
         heights_of(grid)[0, 0] = 1.0
-
-
-@pytest.mark.parametrize("plan", [STAIRS, SILLS], ids=lambda plan: plan.name)
-def test_maps_with_heights_are_as_drawn(plan, tmp_path):
-    write_plan(plan, tmp_path)
-    here, name = Path("maps"), plan.name
-    for file, picture in ((name, draw(plan)), (f"{name}_height", draw_heights(plan))):
-        np.testing.assert_array_equal(cv2.imread(str(here / f"{file}.png"), -1), picture)
-    assert (here / f"{name}.yaml").read_text() == (tmp_path / f"{name}.yaml").read_text()
 
 
 def test_the_sills_are_the_only_way_from_room_to_room():

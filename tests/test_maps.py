@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid, distance_field
-from maps.make_maps import OFFICE, ROOM, draw
+from maps.make_maps import OFFICE, ROOM, SILLS, STAIRS, write
 from maps.map_files import load_map
 from maps.obstacles import merge_rectangles, obstacle_boxes
 from maps.terraces import plates_of, terraces_of
@@ -122,14 +122,21 @@ def test_distances_never_exceed_the_true_ones_and_are_tight():
     assert compared == 23 * 31
 
 
-@pytest.mark.parametrize("plan", [ROOM, OFFICE], ids=["room", "office"])
-def test_the_committed_maps_are_the_drawn_ones(plan):
-    image = cv2.imread(str(MAPS / f"{plan.name}.png"), cv2.IMREAD_UNCHANGED)
-    np.testing.assert_array_equal(image, draw(plan))
-    grid = load_map(MAPS / f"{plan.name}.png")
-    assert grid.resolution_m == plan.resolution_m
+@pytest.mark.parametrize("plan", [ROOM, OFFICE, STAIRS, SILLS], ids=lambda plan: plan.name)
+def test_the_committed_maps_are_the_drawn_ones(plan, tmp_path):
+    write(plan, tmp_path)
+    drawn = sorted(tmp_path.iterdir())
+    assert len(drawn) == (2 if plan in (ROOM, OFFICE) else 3)
+    for path in drawn:
+        if path.suffix == ".yaml":
+            assert (MAPS / path.name).read_text() == path.read_text()
+        else:
+            committed, new = (cv2.imread(str(p), -1) for p in (MAPS / path.name, path))
+            np.testing.assert_array_equal(committed, new)
     x0, y0, x1, y1 = plan.bounds
-    np.testing.assert_allclose(grid.bounds_world(), (x0, y0, x1, y1))
+    np.testing.assert_allclose(
+        load_map(MAPS / f"{plan.name}.yaml").bounds_world(), (x0, y0, x1, y1)
+    )
 
 
 def test_the_room_blocks_the_straight_way_but_neither_end():
