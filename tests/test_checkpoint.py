@@ -204,6 +204,8 @@ def test_file_that_is_no_checkpoint_is_refused(saved):
     assert "it is damaged or no checkpoint" in refusal(saved)
     torch.save([1, 2], path)
     assert "is not a walk-training/3 checkpoint" in refusal(saved)
+    path.unlink()
+    assert "no checkpoint.pt" in refusal(saved)
 
 
 def test_other_settings_are_named(saved):

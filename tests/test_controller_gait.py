@@ -152,14 +152,6 @@ def test_the_weight_shift_is_as_quick_as_the_first_step():
     assert ticks == 1 + 9
 
 
-def test_cursor_says_when_a_step_ends_once_per_step():
-    cursor = StepCursor(TICKS, 1, 4)
-    cursor.follow(0, sequence([Side.LEFT, Side.RIGHT]), walking=True)
-    ended = [bool(cursor.advance()[0]) for _ in range(100)]
-    assert np.flatnonzero(ended).tolist() == [43, 87]
-    assert bool(cursor.arrived[0])
-
-
 def test_weight_shift_before_the_first_step_does_not_count_as_a_step():
     cursor = StepCursor(TICKS, 1, 4)
     cursor.follow(0, sequence([Side.RIGHT, Side.LEFT]), wait_ticks=3)

@@ -40,17 +40,6 @@ def test_what_is_not_public_is_not_there():
         footfall.walk_on_water  # noqa: B018
 
 
-def test_a_planner_plans_again_over_a_changed_map(room, robot):
-    options = footfall.PlannerOptions(name="adstar")
-    planner = footfall.Planner(room, robot.step_model, options)
-    assert planner.plan(start=START, goal=GOAL).found
-    walled = room.cells.copy()
-    row, col = room.world_to_cell(GOAL[:2])
-    walled[row - 40 : row + 40, col - 40 : col + 40] = footfall.Cell.OCCUPIED
-    planner.take_map(room.with_cells(walled))
-    assert planner.plan(start=START, goal=GOAL).status is footfall.PlanStatus.GOAL_BLOCKED
-
-
 def test_importing_it_loads_nothing_heavy():
     code = "import sys, footfall; print(*sys.modules)"
     done = subprocess.run(
