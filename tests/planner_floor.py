@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import functools
+from typing import Any
+
 import numpy as np
 
 from maps.grid import Cell, OccupancyGrid
+from planner.heuristics.heuristic import Heuristic, estimate
+from planner.lattice.lattice import Lattice
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, to_frame
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import StepModel
 from planner.search.problem import Request
-from tests.planner_oracle import small_model
+from planner.search.reachability import Verdict, expand_both, new_flood
+from tests.planner_oracle import Node, Oracle, lattice_node, small_model
 
 
 def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1):
@@ -23,6 +29,11 @@ def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1)
 
 FLOOR = walled(30, 40)
 LATTICE = PlannerOptions(refine=False)
+
+
+def plan_on_lattice(grid: OccupancyGrid, model: StepModel, **query: Any) -> FootstepPlan:
+    """The plan of the default search, not refined."""
+    return plan_footsteps(grid, model, options=LATTICE, **query)
 
 
 def scatter(rng: np.random.Generator, cells: np.ndarray, count: int, less_than: int) -> None:
@@ -39,13 +50,7 @@ def blocked_at(*boxes: tuple[int, int, int, int]) -> OccupancyGrid:
 
 def small_plan() -> FootstepPlan:
     """A plan over the empty floor, turning."""
-    return plan_footsteps(
-        FLOOR,
-        small_model(),
-        start=(1.0, 1.0, 0.2),
-        goal=(2.5, 1.8, 1.0),
-        options=PlannerOptions(refine=False),
-    )
+    return plan_on_lattice(FLOOR, small_model(), start=(1.0, 1.0, 0.2), goal=(2.5, 1.8, 1.0))
 
 
 # A wall with a way around its upper end.
@@ -64,6 +69,27 @@ CASES = {
         (0.09, 3.594, 2.0),
     ),
 }
+
+
+@functools.cache
+def oracle_of(name: str) -> Oracle:
+    """The oracle of one of the cases for the small robot: it keeps what it has worked out."""
+    grid, _, goal = CASES[name]
+    return Oracle(grid, small_model(), goal)
+
+
+@functools.cache
+def least_cost_m(name: str) -> float:
+    """Least cost of any plan of a case, by the oracle."""
+    return oracle_of(name).best_cost(CASES[name][1])
+
+
+@functools.cache
+def least_costs_m(name: str) -> dict[Node, float]:
+    """Least cost to the end of a case's plans from every node, by the oracle; more than 500."""
+    costs_m = oracle_of(name).costs_to_go(CASES[name][1])
+    assert len(costs_m) > 500
+    return costs_m
 
 
 def fine_model(**changes) -> StepModel:
@@ -87,7 +113,7 @@ def repeatable(plan: FootstepPlan) -> str:
 
 def request_of(grid, model, start, goal) -> Request:
     """What a search is asked for this query."""
-    planner = Planner(grid, model, options=PlannerOptions(refine=False))
+    planner = Planner(grid, model, LATTICE)
     planner.plan(start=start, goal=goal)
     feet = feet_at(start, model.stance_width_m)
     return Request(
@@ -97,3 +123,19 @@ def request_of(grid, model, start, goal) -> Request:
         stands=False,
         first_side=None,
     )
+
+
+def estimated_m(lattice: Lattice, heuristic: Heuristic, node: Node) -> float:
+    """What a heuristic says of a node of the oracle's."""
+    return estimate(lattice, heuristic, lattice_node(lattice, node)) / 1e6
+
+
+def floods_meet(lattice: Lattice, oracle: Oracle, start: tuple[float, float, float]) -> bool:
+    """Whether the floods from the oracle's first steps and from the goal meet, in small bites."""
+    seeds = [lattice_node(lattice, node) for _, node in oracle.first_steps(start)]
+    goals = [lattice_node(lattice, (0, 0, 0, side)) for side in (0, 1)]
+    flood = new_flood(lattice, np.array(seeds, np.int64), np.array(goals))
+    verdict = Verdict.OPEN
+    while verdict is Verdict.OPEN:
+        flood, verdict = expand_both(lattice, flood, 7)
+    return verdict is Verdict.MET

@@ -239,3 +239,10 @@ def oracle_node(lattice, node: int) -> Node:
     cell, row = divmod(node, 2 * lattice.headings)
     up, across = divmod(cell, lattice.cols)
     return across - lattice.origin_col, up - lattice.origin_row, row // 2, row % 2
+
+
+def lattice_node(lattice, node: Node) -> int:
+    """The number of the oracle's node in a search's space."""
+    col, row, heading, side = node
+    cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
+    return (cell * lattice.headings + heading) * 2 + side

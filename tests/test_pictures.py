@@ -20,16 +20,13 @@ from app.pictures.canvas import (
 )
 from app.pictures.plan_pictures import Swatch, plan_picture, walk_picture, with_legend
 from maps.grid import Cell, OccupancyGrid
-from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, feet_at
-from planner.planner import plan_footsteps
 from planner.robot_model import FootShape, Side
 from sim.robots import get_robot
-from tests.planner_floor import FLOOR, small_plan
+from tests.planner_floor import FLOOR, plan_on_lattice, small_plan
 from tests.planner_oracle import small_model
 from tests.programs import picture_at
 
-UNREFINED = PlannerOptions(refine=False)
 MODEL = get_robot("jvrc1").step_model
 
 
@@ -54,9 +51,7 @@ def test_a_picture_shows_feet_where_they_are(plan):
 
 def test_a_large_map_is_cropped_to_the_plan():
     grid = OccupancyGrid(cells=np.zeros((200, 400), np.uint8), resolution_m=0.1)
-    plan = plan_footsteps(
-        grid, small_model(), start=(10, 10, 0), goal=(11, 10, 0), options=UNREFINED
-    )
+    plan = plan_on_lattice(grid, small_model(), start=(10, 10, 0), goal=(11, 10, 0))
     image = draw_plan(plan, grid, small_model())
     # About 1 m and 1.5 m on each side wide, 0.2 m and the same high.
     assert image.shape[1] / image.shape[0] == pytest.approx(4.0 / 3.2, rel=0.1)
@@ -64,9 +59,7 @@ def test_a_large_map_is_cropped_to_the_plan():
 
 def test_a_failed_plan_and_a_tiny_map_can_be_drawn():
     grid = OccupancyGrid(cells=np.full((1, 3), Cell.UNKNOWN, np.uint8), resolution_m=0.05)
-    plan = plan_footsteps(
-        grid, small_model(), start=(0.1, 0.02, 0), goal=(9, 9, 0), options=UNREFINED
-    )
+    plan = plan_on_lattice(grid, small_model(), start=(0.1, 0.02, 0), goal=(9, 9, 0))
     assert plan.status is PlanStatus.OFF_MAP
     assert draw_plan(plan, grid, small_model()).ndim == 3
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from shapely import affinity
 
 from maps.grid import OccupancyGrid
 from planner.collision import box_free, point_clearance, terrain_of
-from planner.plan import FootstepPlan, PlanStatus
+from planner.plan import PlanStatus
 from planner.verify import violations
 from tests.planner_floor import FLOOR, blocked_at, small_plan
 from tests.planner_oracle import small_model
@@ -60,33 +61,26 @@ def plan():
     return small_plan()
 
 
-def spoiled(plan, **changes):
-    fields = {name: getattr(plan, name) for name in plan.__dataclass_fields__}
-    return FootstepPlan(**{**fields, **changes})
-
-
 def test_the_verifier_finds_every_kind_of_wrong(plan):
     model = small_model()
     assert violations(plan, FLOOR, model) == []
 
     def wrongs(**changes):
-        return " ".join(violations(spoiled(plan, **changes), FLOOR, model))
+        return " ".join(violations(replace(plan, **changes), FLOOR, model))
 
-    moved = np.array(plan.pose_world)
-    moved[2, 0] += 0.3
-    assert "is outside" in wrongs(pose_world=moved)
+    def moved(step, by):
+        poses = np.array(plan.pose_world)
+        poses[step] += by
+        return wrongs(pose_world=poses)
+
     same = np.array(plan.side)
     same[1] = same[0]
+    onto = plan.pose_world[2] - plan.pose_world[3]
+    assert "is outside" in moved(2, (0.3, 0, 0, 0))
     assert "twice in a row" in wrongs(side=same)
-    short = np.array(plan.pose_world)
-    short[-1, 0] += 1e-6
-    assert "not the goal's" in wrongs(pose_world=short)
-    onto = np.array(plan.pose_world)
-    onto[3, :2] = onto[2, :2]
-    assert "apart" in wrongs(pose_world=onto)
-    lifted = np.array(plan.pose_world)
-    lifted[1, 2] = 0.1
-    assert "is not 0 on a flat floor" in wrongs(pose_world=lifted)
+    assert "not the goal's" in moved(-1, (1e-6, 0, 0, 0))
+    assert "apart" in moved(3, (*onto[:2], 0, 0))
+    assert "is not 0 on a flat floor" in moved(1, (0, 0, 0.1, 0))
     assert "not found" in wrongs(status=PlanStatus.NO_PATH)
 
 

@@ -17,12 +17,11 @@ from planner.collision import (
     resting_heights,
     terrain_of,
 )
-from planner.options import PlannerOptions
 from planner.plan import PlanStatus, feet_at
-from planner.planner import Planner, plan_footsteps
+from planner.planner import Planner
 from planner.robot_model import Side
-from planner.search.reachability import Verdict, expand_both, new_flood
 from planner.verify import violations
+from tests.planner_floor import LATTICE, floods_meet, plan_on_lattice
 from tests.planner_oracle import Oracle, small_model
 from tests.planner_treads import CASES, CLIMBER, LIMITS, floor
 
@@ -97,9 +96,7 @@ def test_a_measured_foot_rests_on_what_is_nearest_to_its_own_height():
 @pytest.mark.parametrize("name", CASES)
 def test_the_cost_is_the_oracles_optimum(name):
     grid, start, goal = CASES[name]
-    plan = plan_footsteps(
-        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
+    plan = plan_on_lattice(grid, CLIMBER, start=start, goal=goal)
     best = Oracle(grid, CLIMBER, goal).best_cost(start)
     assert plan.found == math.isfinite(best)
     if plan.found:
@@ -110,32 +107,11 @@ def test_the_cost_is_the_oracles_optimum(name):
     )
 
 
-def test_heights_only_make_plans_dearer_and_some_do():
-    dearer = 0
-    for grid, start, goal in CASES.values():
-        with_heights = plan_footsteps(
-            grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-        )
-        flat = plan_footsteps(
-            replace(grid, elevation_m=None),
-            CLIMBER,
-            start=start,
-            goal=goal,
-            options=PlannerOptions(refine=False),
-        )
-        if with_heights.found:
-            assert with_heights.cost_m >= flat.cost_m - 1e-9
-            dearer += with_heights.cost_m > flat.cost_m + 0.1
-    assert dearer >= 3
-
-
 def test_a_kerb_is_stepped_over_if_the_swing_clears_it():
     grid, start, goal = CASES["a kerb to go around"]
-    around = plan_footsteps(
-        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
+    around = plan_on_lattice(grid, CLIMBER, start=start, goal=goal)
     high = small_model(limits=LIMITS, level_margin_m=0.0, swing_clear_m=0.08, cell_m=0.05)
-    over = plan_footsteps(grid, high, start=start, goal=goal, options=PlannerOptions(refine=False))
+    over = plan_on_lattice(grid, high, start=start, goal=goal)
     assert max(around.pose_world[:, 1]) > 1.5
     assert max(over.pose_world[:, 1]) < 1.2
     assert not over.pose_world[:, 2].any()
@@ -150,12 +126,8 @@ def test_on_a_level_floor_the_plan_is_the_flat_one_but_for_its_height(height_m):
     flat = OccupancyGrid(cells=floor(boxes=((0, 11, 15, 12),)).cells, resolution_m=0.1)
     level = replace(flat, elevation_m=np.full(flat.shape, height_m))
     for start, goal in (((0.55, 0.6, 0.3), (1.8, 0.7, -1.2)), ((0.5, 2.0, 0.0), (2.0, 2.0, 3.0))):
-        one = plan_footsteps(
-            flat, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
-        )
-        other = plan_footsteps(
-            level, small_model(), start=start, goal=goal, options=PlannerOptions(refine=False)
-        )
+        one = plan_on_lattice(flat, small_model(), start=start, goal=goal)
+        other = plan_on_lattice(level, small_model(), start=start, goal=goal)
         assert len(one) > 3
         np.testing.assert_array_equal(one.pose_world[:, [0, 1, 3]], other.pose_world[:, [0, 1, 3]])
         assert not one.pose_world[:, 2].any()
@@ -167,12 +139,8 @@ def test_on_a_level_floor_the_plan_is_the_flat_one_but_for_its_height(height_m):
 def test_lifting_the_floor_lifts_the_plan():
     grid, start, goal = CASES["walls on the treads"]
     lifted = replace(grid, elevation_m=grid.elevation_m - 2.5)
-    plan = plan_footsteps(
-        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
-    lower = plan_footsteps(
-        lifted, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
+    plan = plan_on_lattice(grid, CLIMBER, start=start, goal=goal)
+    lower = plan_on_lattice(lifted, CLIMBER, start=start, goal=goal)
     assert len(plan) > 3
     np.testing.assert_allclose(lower.pose_world, plan.pose_world - (0, 0, 2.5, 0), atol=1e-9)
 
@@ -180,16 +148,8 @@ def test_lifting_the_floor_lifts_the_plan():
 def test_heights_below_walls_mean_nothing():
     grid, start, goal = CASES["walls on the treads"]
     heights = np.where(grid.blocked(), 9.0, grid.elevation_m)
-    plan = plan_footsteps(
-        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
-    other = plan_footsteps(
-        replace(grid, elevation_m=heights),
-        CLIMBER,
-        start=start,
-        goal=goal,
-        options=PlannerOptions(refine=False),
-    )
+    plan = plan_on_lattice(grid, CLIMBER, start=start, goal=goal)
+    other = plan_on_lattice(replace(grid, elevation_m=heights), CLIMBER, start=start, goal=goal)
     np.testing.assert_array_equal(plan.pose_world, other.pose_world)
 
 
@@ -197,10 +157,8 @@ def test_rise_and_fall_have_limits_of_their_own():
     grid = floor((0, 12, 24, 24, 0.1))
     low, high = (0.55, 1.2, 0.0), (1.95, 1.2, 0.0)
     up_only = replace(CLIMBER, limits=replace(LIMITS, z_m=(-0.05, 0.1)))
-    assert plan_footsteps(
-        grid, up_only, start=low, goal=high, options=PlannerOptions(refine=False)
-    ).found
-    down = plan_footsteps(grid, up_only, start=high, goal=low, options=PlannerOptions(refine=False))
+    assert plan_on_lattice(grid, up_only, start=low, goal=high).found
+    down = plan_on_lattice(grid, up_only, start=high, goal=low)
     assert down.status is PlanStatus.NO_PATH
     assert down.reason.endswith("steps go from -0.05 to 0.1 m")
 
@@ -213,19 +171,13 @@ def test_limits_without_level_steps_are_refused(z_m):
 
 def test_planning_goes_on_from_feet_measured_on_the_stairs():
     grid, start, goal = CASES["stairs"]
-    plan = plan_footsteps(
-        grid, CLIMBER, start=start, goal=goal, options=PlannerOptions(refine=False)
-    )
+    plan = plan_on_lattice(grid, CLIMBER, start=start, goal=goal)
     feet = plan.start_feet_world.copy()
     feet[plan.side[0]] = plan.pose_world[0]
     feet[plan.side[1]] = plan.pose_world[1]
-    exact = plan_footsteps(
-        grid, CLIMBER, start_feet_world=feet, goal=goal, options=PlannerOptions(refine=False)
-    )
+    exact = plan_on_lattice(grid, CLIMBER, start_feet_world=feet, goal=goal)
     feet[:, 2] += (0.015, -0.012)
-    rough = plan_footsteps(
-        grid, CLIMBER, start_feet_world=feet, goal=goal, options=PlannerOptions(refine=False)
-    )
+    rough = plan_on_lattice(grid, CLIMBER, start_feet_world=feet, goal=goal)
     assert max(feet[:, 2]) > 0.08
     assert exact.found
     np.testing.assert_array_equal(exact.pose_world, rough.pose_world)
@@ -244,20 +196,14 @@ def test_planning_goes_on_from_feet_measured_on_the_stairs():
 def test_a_place_that_is_not_level_is_refused_and_another_offered(goal, reason):
     grid = floor((0, 11, 24, 24, 0.2), (0, 0, 24, 11, 0.0))
     model = small_model(limits=LIMITS, level_margin_m=0.0, stance_width_m=0.3)
-    blocked = plan_footsteps(
-        grid, model, start=(1.8, 0.7, 0.0), goal=goal, options=PlannerOptions(refine=False)
-    )
+    blocked = plan_on_lattice(grid, model, start=(1.8, 0.7, 0.0), goal=goal)
     assert blocked.status is PlanStatus.GOAL_BLOCKED
     assert blocked.reason.startswith(reason)
     there = tuple(float(v) for v in blocked.reason.rsplit(" ", 1)[1].split(","))
     assert math.dist(there[:2], goal[:2]) < 0.3
-    again = plan_footsteps(
-        grid, model, start=(1.8, 0.7, 0.0), goal=there, options=PlannerOptions(refine=False)
-    )
+    again = plan_on_lattice(grid, model, start=(1.8, 0.7, 0.0), goal=there)
     assert again.status is not PlanStatus.GOAL_BLOCKED
-    start = plan_footsteps(
-        grid, model, start=goal, goal=(1.8, 0.7, 0.0), options=PlannerOptions(refine=False)
-    )
+    start = plan_on_lattice(grid, model, start=goal, goal=(1.8, 0.7, 0.0))
     assert start.status is PlanStatus.START_BLOCKED
     assert start.reason.startswith(reason.replace("goal:", "start:"))
 
@@ -265,43 +211,20 @@ def test_a_place_that_is_not_level_is_refused_and_another_offered(goal, reason):
 @pytest.mark.parametrize("name", CASES)
 def test_the_floods_meet_just_where_there_is_a_plan(name):
     grid, start, goal = CASES[name]
-    planner = Planner(grid, CLIMBER, options=PlannerOptions(refine=False))
+    planner = Planner(grid, CLIMBER, LATTICE)
     plan = planner.plan(start=start, goal=goal)
-    lattice, oracle = planner.goal_context(goal).lattice, Oracle(grid, CLIMBER, goal)
-
-    def number(node):
-        col, row, heading, side = node
-        cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
-        return (cell * lattice.headings + heading) * 2 + side
-
-    seeds = np.array([number(node) for _, node in oracle.first_steps(start)], np.int64)
-    goals = np.array([number((0, 0, 0, side)) for side in (0, 1)])
-    flood, verdict = new_flood(lattice, seeds, goals), Verdict.OPEN
-    while verdict is Verdict.OPEN:
-        flood, verdict = expand_both(lattice, flood, 7)
-    assert (verdict is Verdict.MET) == plan.found
+    lattice = planner.goal_context(goal).lattice
+    assert floods_meet(lattice, Oracle(grid, CLIMBER, goal), start) == plan.found
 
 
 def test_feet_may_stand_at_two_heights_where_the_robot_has_got_to_but_not_at_a_goal():
     grid = floor((0, 0, 12, 24, 0.1))
     feet = feet_at((0.7, 1.2, 0.0), 0.2)
     feet[Side.RIGHT, 2] = 0.1
-    plan = plan_footsteps(
-        grid,
-        CLIMBER,
-        start_feet_world=feet,
-        goal=(1.7, 1.6, 0.0),
-        options=PlannerOptions(refine=False),
-    )
+    plan = plan_on_lattice(grid, CLIMBER, start_feet_world=feet, goal=(1.7, 1.6, 0.0))
     assert plan.found
     assert plan.start_feet_world[:, 2].tolist() == [0.0, 0.1]
     assert violations(plan, grid, CLIMBER, stood_freely=False) == []
-    across = plan_footsteps(
-        grid,
-        CLIMBER,
-        start_feet_world=feet,
-        goal=(1.7, 1.2, 0.0),
-        options=PlannerOptions(refine=False),
-    )
+    across = plan_on_lattice(grid, CLIMBER, start_feet_world=feet, goal=(1.7, 1.2, 0.0))
     assert across.status is PlanStatus.GOAL_BLOCKED
     assert "the right foot would stand 0.10 m higher than the other" in across.reason

@@ -8,26 +8,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planner.heuristics.heuristic import estimate
+from planner.heuristics.heuristic import Tables, tables_of
 from planner.options import HEURISTICS, PlannerOptions
-from planner.planner import Planner, plan_footsteps
+from planner.planner import Planner
 from planner.search.first_plan import find_first_plan
 from planner.search.problem import heuristic_to_start
-from tests.planner_floor import CASES, request_of
-from tests.planner_oracle import Oracle, oracle_node, small_model
+from tests.planner_floor import (
+    CASES,
+    LATTICE,
+    estimated_m,
+    least_cost_m,
+    least_costs_m,
+    oracle_of,
+    request_of,
+)
+from tests.planner_oracle import oracle_node, small_model
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_heuristic_is_never_above_the_exact_cost(name):
-    grid, start, goal = CASES[name]
+    grid, _, goal = CASES[name]
     model = small_model()
-    planner = Planner(grid, model, options=PlannerOptions(refine=False))
-    assert planner.plan(start=start, goal=goal).found
-    lattice, heuristic = planner.goal_context(goal).lattice, planner.goal_context(goal).heuristic
-    oracle = Oracle(grid, model, goal)
-    exact = oracle.costs_to_go(start)
-    assert len(exact) > 500
-    estimates = {node: estimated_m(lattice, heuristic, node) for node in exact}
+    context = Planner(grid, model, LATTICE).goal_context(goal)
+    exact = least_costs_m(name)
+    estimates = {node: estimated_m(context.lattice, context.heuristic, node) for node in exact}
     tight = 0
     for node, cost_m in exact.items():
         assert estimates[node] <= cost_m + 1e-5
@@ -39,10 +43,9 @@ def test_the_heuristic_is_never_above_the_exact_cost(name):
 
 def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
     # Without the table near the goal, which would hide an error of the body's path.
-    grid, start, goal = CASES["wall"]
+    grid, _, goal = CASES["wall"]
     model = small_model()
-    planner = Planner(grid, model, options=PlannerOptions(refine=False))
-    tables = planner._tables
+    tables = tables_of(model)
     goal_table = replace(
         tables.goal_table,
         cost_um=np.full_like(tables.goal_table.cost_um, 0),
@@ -51,12 +54,10 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
     )
     # Nor the bound that looks to the rim of a circle.
     exits = replace(tables.exits, radius_cells=10**6)
-    planner._tables = tables._replace(goal_table=goal_table, exits=exits)
-    planner.plan(start=start, goal=goal)
-    lattice, heuristic = planner.goal_context(goal).lattice, planner.goal_context(goal).heuristic
-    oracle = Oracle(grid, model, goal)
-    exact = oracle.costs_to_go(start)
-    assert len(exact) > 500
+    blind = Tables(**{**tables._asdict(), "goal_table": goal_table, "exits": exits})
+    context = replace(Planner(grid, model, LATTICE).goal_context(goal), tables=blind)
+    lattice, heuristic = context.lattice, context.heuristic
+    oracle, exact = oracle_of("wall"), least_costs_m("wall")
     detours = []
     for node, cost_m in exact.items():
         estimate = estimated_m(lattice, heuristic, node)
@@ -73,15 +74,11 @@ def test_the_2d_part_alone_is_consistent_and_knows_the_wall():
 @pytest.mark.parametrize("heuristic", HEURISTICS[1:])
 @pytest.mark.parametrize("name", ["wall", "slanted map"])
 def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuristic, reach_m):
-    grid, start, goal = CASES[name]
+    grid, _, goal = CASES[name]
     model = small_model()
     options = PlannerOptions(heuristic=heuristic, goal_reach_m=reach_m, refine=False)
-    planner = Planner(grid, model, options)
-    assert planner.plan(start=start, goal=goal).found
-    context = planner.goal_context(goal)
-    oracle = Oracle(grid, model, goal)
-    exact = oracle.costs_to_go(start)
-    assert len(exact) > 500
+    context = Planner(grid, model, options).goal_context(goal)
+    oracle, exact = oracle_of(name), least_costs_m(name)
     ends = {oracle_node(context.lattice, int(node)) for node in context.ends}
     assert len(ends) == 2 if reach_m == 0 else len(ends) > 2
     values_m = {node: estimated_m(context.lattice, context.heuristic, node) for node in exact}
@@ -89,10 +86,8 @@ def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuris
         # The goal itself is one of the ends.
         assert values_m[node] <= cost_m + 1e-5
         for step_m, to in oracle.edges(node):
-            assert (
-                values_m[node]
-                <= step_m + estimated_m(context.lattice, context.heuristic, to) + 1e-5
-            )
+            to_m = estimated_m(context.lattice, context.heuristic, to)
+            assert values_m[node] <= step_m + to_m + 1e-5
     for node in ends & exact.keys():
         assert values_m[node] <= 0.3 + 1e-6
     assert max(values_m.values()) > 1.0
@@ -100,16 +95,8 @@ def test_simpler_heuristics_are_consistent_and_below_the_exact_cost(name, heuris
 
 def test_the_more_a_heuristic_knows_the_fewer_states_a_star_expands():
     grid, start, goal = CASES["wall"]
-    plans = [
-        plan_footsteps(
-            grid,
-            small_model(),
-            start=start,
-            goal=goal,
-            options=PlannerOptions(name="astar", heuristic=name, refine=False),
-        )
-        for name in HEURISTICS
-    ]
+    options = [PlannerOptions(name="astar", heuristic=name, refine=False) for name in HEURISTICS]
+    plans = [Planner(grid, small_model(), o).plan(start=start, goal=goal) for o in options]
     expansions = [plan.expansions for plan in plans]
     assert expansions == sorted(expansions)
     assert 2 * expansions[0] < expansions[-1]
@@ -118,15 +105,12 @@ def test_the_more_a_heuristic_knows_the_fewer_states_a_star_expands():
 
 
 def test_euclidean_heuristics_by_hand():
-    grid, start, goal = CASES["empty"]
+    grid, _, goal = CASES["empty"]
     # At 45 degrees the feet of a step to the side are a cell's diagonal apart, and the body moves
     # by as much: the least cost of a metre is 1. The longest steps move it by 0.3 and 0.1 m.
     for name, metre_m in (("euclidean", 1.0), ("steps", 1.0 + 0.1 / math.hypot(0.3, 0.1))):
-        planner = Planner(
-            grid, small_model(step_cost_m=0.1), PlannerOptions(heuristic=name, refine=False)
-        )
-        planner.plan(start=start, goal=goal)
-        context = planner.goal_context(goal)
+        options = PlannerOptions(heuristic=name, refine=False)
+        context = Planner(grid, small_model(step_cost_m=0.1), options).goal_context(goal)
         lattice, heuristic = context.lattice, context.heuristic
         # The last step costs the stance width of 0.2 m and 0.1 m as every step does.
         far_m = estimated_m(lattice, heuristic, (-6, 0, 0, 0))
@@ -135,18 +119,12 @@ def test_euclidean_heuristics_by_hand():
         assert diagonal_m == pytest.approx(0.3 + 0.5 * metre_m, abs=1e-5)
 
 
-def estimated_m(lattice, heuristic, node):
-    col, row, heading, side = node
-    cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
-    return estimate(lattice, heuristic, (cell * lattice.headings + heading) * 2 + side) / 1e6
-
-
 @pytest.mark.parametrize("further_um", [None, 0, 500_000])
 @pytest.mark.parametrize("name", CASES)
 def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name, further_um):
     grid, start, goal = CASES[name]
     model = small_model()
-    oracle = Oracle(grid, model, goal)
+    oracle = oracle_of(name)
     request = request_of(grid, model, start, goal)
     nodes, costs_um = request.first_nodes()
     heuristic = heuristic_to_start(request, nodes, costs_um, further_um)
@@ -164,7 +142,7 @@ def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name, furt
 def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
     grid, start, goal = CASES[name]
     model = small_model()
-    best_m = Oracle(grid, model, goal).best_cost(start)
+    best_m = least_cost_m(name)
     request = request_of(grid, model, start, goal)
     nodes, costs_um = request.first_nodes()
     quick = find_first_plan(request, nodes, costs_um, PlannerOptions(refine=False))

@@ -13,9 +13,16 @@ from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import BodyShape, FootShape
 from planner.search import ara_star
-from planner.search.reachability import Verdict, expand_both, new_flood
 from planner.verify import violations
-from tests.planner_floor import FLOOR, LATTICE, blocked_at, scatter
+from tests.planner_floor import (
+    FLOOR,
+    LATTICE,
+    blocked_at,
+    floods_meet,
+    plan_on_lattice,
+    scatter,
+    walled,
+)
 from tests.planner_oracle import Oracle, small_model
 
 # A body that is longer than wide fits by its width, as the 2D search sees it, where it cannot turn.
@@ -59,22 +66,11 @@ def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
         planner = Planner(grid, model, LATTICE)
         if planner.plan(start=start, goal=goal).status in BLOCKED:
             continue
-        lattice = planner.goal_context(goal).lattice
         oracle = Oracle(grid, model, goal)
-
-        def number(node, lattice=lattice):
-            col, row, heading, side = node
-            cell = (row + lattice.origin_row) * lattice.cols + col + lattice.origin_col
-            return (cell * lattice.headings + heading) * 2 + side
-
-        seeds = np.array([number(node) for _, node in oracle.first_steps(start)], np.int64)
-        if not len(seeds):
+        if not any(oracle.first_steps(start)):
             continue
-        goals = np.array([number((0, 0, 0, side)) for side in (0, 1)])
-        flood, verdict = new_flood(lattice, seeds, goals), Verdict.OPEN
-        while verdict is Verdict.OPEN:
-            flood, verdict = expand_both(lattice, flood, 7)
-        assert (verdict is Verdict.MET) == math.isfinite(oracle.best_cost(start))
+        is_reachable = math.isfinite(oracle.best_cost(start))
+        assert floods_meet(planner.goal_context(goal).lattice, oracle, start) == is_reachable
         compared += 1
 
 
@@ -83,7 +79,7 @@ def test_no_goal_is_given_up_that_can_be_reached(seed, impatient):
     grid, rng = random_floor(seed)
     for _ in range(6):
         start, goal = rng.uniform((0.3, 0.3, -3.1), (2.1, 2.1, 3.1), (2, 3))
-        plan = plan_footsteps(grid, LONG, start=start, goal=goal, options=LATTICE)
+        plan = plan_on_lattice(grid, LONG, start=start, goal=goal)
         if plan.status in (PlanStatus.FOUND, PlanStatus.NO_PATH):
             reachable = math.isfinite(Oracle(grid, LONG, goal).best_cost(start))
             assert plan.found == reachable
@@ -96,26 +92,23 @@ def test_no_goal_is_given_up_that_can_be_reached(seed, impatient):
 def test_a_corner_too_tight_to_turn_is_found_out_from_its_smaller_side(
     start, goal, side, impatient
 ):
-    plan = plan_footsteps(BENT, LONG, start=start, goal=goal, options=LATTICE)
+    plan = plan_on_lattice(BENT, LONG, start=start, goal=goal)
     assert plan.status is PlanStatus.NO_PATH
     assert side in plan.reason
     # A short body of the same width gets round the corner.
-    assert plan_footsteps(BENT, small_model(), start=start, goal=goal, options=LATTICE).found
+    assert plan_on_lattice(BENT, small_model(), start=start, goal=goal).found
 
 
 def test_the_floods_cost_no_expansions_once_they_know(impatient, monkeypatch):
-    quick = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=LATTICE)
+    quick = plan_on_lattice(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER)
     monkeypatch.setattr(ara_star, "FLOOD_AFTER", 10**9)
-    slow = plan_footsteps(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER, options=LATTICE)
+    slow = plan_on_lattice(BENT, LONG, start=IN_ROOM, goal=ROUND_CORNER)
     assert slow.status is quick.status is PlanStatus.NO_PATH
     assert quick.expansions < slow.expansions / 2
 
 
 def test_improving_stops_after_so_many_states_with_a_bound_that_holds():
-    grid = OccupancyGrid(cells=np.zeros((40, 40), np.uint8), resolution_m=0.1)
-    cells = grid.cells.copy()
-    cells[0:30, 18:20] = Cell.OCCUPIED
-    grid = grid.with_cells(cells)
+    grid = walled(40, 40, ((0, 18, 30, 20),))
     model = small_model(cell_m=0.05, headings=16, clearance_m=0.3, clearance_cost_m=0.3)
     start, goal = (0.8, 0.8, 0.0), (3.2, 0.8, 1.0)
 
@@ -148,25 +141,14 @@ def test_improving_stops_after_so_many_states_with_a_bound_that_holds():
     assert first.epsilon < 5.0
 
 
-def test_a_robot_on_its_feet_keeps_its_margin_unless_it_stands_too_near():
+def test_a_robot_on_its_feet_keeps_its_margin():
     # A wall along x = 0.8 m; the body, 0.36 m wide and long, with a margin of 6 cm.
-    cells = np.zeros((30, 40), np.uint8)
-    cells[:, :8] = Cell.OCCUPIED
-    grid = OccupancyGrid(cells=cells, resolution_m=0.1)
-    model = small_model(body_margin_m=0.06)
-    goal, checked = (1.3, 2.2, math.pi / 2), 0
-    for x_m, freely in ((1.05, True), (1.08, True), (1.02, False)):
+    grid, model = blocked_at((0, 0, 30, 8)), small_model(body_margin_m=0.06)
+    for x_m in (1.05, 1.08):
         feet = feet_at((x_m, 0.8, math.pi / 2), model.stance_width_m)
-        plan = plan_footsteps(grid, model, start_feet_world=feet, goal=goal, options=LATTICE)
+        plan = plan_on_lattice(grid, model, start_feet_world=feet, goal=(1.3, 2.2, math.pi / 2))
         assert plan.found
-        assert violations(plan, grid, model, stood_freely=freely) == []
-        checked += 1
-    assert checked == 3
-
-
-def test_a_negative_effort_is_refused():
-    with pytest.raises(ValueError, match="improve_expansions -1"):
-        PlannerOptions(improve_expansions=-1, refine=False)
+        assert violations(plan, grid, model) == []
 
 
 @pytest.mark.parametrize(
@@ -181,8 +163,8 @@ def test_a_negative_effort_is_refused():
 def test_a_blocked_goal_or_start_names_foot_or_body_and_a_free_pose(box, what):
     grid, model = blocked_at(box), small_model(foot=FootShape(length_m=0.18, width_m=0.1))
     here, there = (2.0, 1.5, 0.0), (0.8, 0.8, 0.0)
-    at_goal = plan_footsteps(grid, model, start=there, goal=here, options=LATTICE)
-    at_start = plan_footsteps(grid, model, start=here, goal=there, options=LATTICE)
+    at_goal = plan_on_lattice(grid, model, start=there, goal=here)
+    at_start = plan_on_lattice(grid, model, start=here, goal=there)
     for plan, status, name in (
         (at_goal, PlanStatus.GOAL_BLOCKED, "goal"),
         (at_start, PlanStatus.START_BLOCKED, "start"),
@@ -191,7 +173,7 @@ def test_a_blocked_goal_or_start_names_foot_or_body_and_a_free_pose(box, what):
         assert plan.reason.startswith(f"{name}: {what} would touch an obstacle")
         near = [float(v) for v in plan.reason.rsplit(" ", 1)[1].split(",")]
         assert math.dist(near[:2], here[:2]) < 0.5
-        assert plan_footsteps(grid, model, start=there, goal=near, options=LATTICE).found
+        assert plan_on_lattice(grid, model, start=there, goal=near).found
 
 
 def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
@@ -199,7 +181,7 @@ def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
     cells[10:20, 18:22] = Cell.UNKNOWN
     grid, model = FLOOR.with_cells(cells), small_model()
     start, goal = (0.8, 0.8, 0.0), (2.0, 1.5, 0.0)
-    plan = plan_footsteps(grid, model, start=start, goal=goal, options=LATTICE)
+    plan = plan_on_lattice(grid, model, start=start, goal=goal)
     assert plan.status is PlanStatus.GOAL_BLOCKED
     brave = PlannerOptions(unknown_is_free=True, refine=False)
     plan = plan_footsteps(grid, model, start=start, goal=goal, options=brave)
@@ -210,41 +192,34 @@ def test_unknown_ground_blocks_unless_it_is_said_to_be_free():
 
 @pytest.mark.parametrize(("start", "goal"), [((1, 1, 0), (4.2, 1, 0)), ((-0.1, 1, 0), (1, 1, 0))])
 def test_poses_off_the_map_are_named(start, goal):
-    plan = plan_footsteps(FLOOR, small_model(), start=start, goal=goal, options=LATTICE)
+    plan = plan_on_lattice(FLOOR, small_model(), start=start, goal=goal)
     assert plan.status is PlanStatus.OFF_MAP
     assert "from 0,0 to 4,3" in plan.reason
     assert ("start -0.1,1" if start[0] < 0 else "goal 4.2,1") in plan.reason
 
 
 def test_a_foot_over_the_maps_edge_is_blocked():
-    plan = plan_footsteps(FLOOR, small_model(), start=(1, 1, 0), goal=(3.98, 1, 0), options=LATTICE)
+    plan = plan_on_lattice(FLOOR, small_model(), start=(1, 1, 0), goal=(3.98, 1, 0))
     assert plan.status is PlanStatus.GOAL_BLOCKED
 
 
 def test_a_goal_in_a_closet_is_found_out_without_searching_the_lattice():
     grid = blocked_at((9, 24, 11, 37), (20, 24, 22, 37), (9, 24, 22, 26), (9, 35, 22, 37))
-    plan = plan_footsteps(
-        grid, small_model(), start=(1, 1, 0), goal=(3.1, 1.55, 0), options=LATTICE
-    )
+    plan = plan_on_lattice(grid, small_model(), start=(1, 1, 0), goal=(3.1, 1.55, 0))
     assert plan.status is PlanStatus.NO_PATH
     assert plan.expansions == 0
     assert "enclose" in plan.reason
 
 
-def test_a_robot_too_near_to_a_wall_may_leave_but_not_come():
+@pytest.mark.parametrize("name", ["ara", "rrtconnect"])
+def test_a_robot_too_near_to_a_wall_may_leave_but_not_come(name):
     # 4 cm between body and wall, less than the margin of 6 cm.
     grid, model = blocked_at((0, 0, 30, 8)), small_model(body_margin_m=0.06)
     near, far = (1.02, 1.5, 0.0), (2.0, 1.5, 0.0)
-    assert (
-        plan_footsteps(grid, model, start=far, goal=near, options=LATTICE).status
-        is PlanStatus.GOAL_BLOCKED
-    )
-    assert (
-        plan_footsteps(grid, model, start=near, goal=far, options=LATTICE).status
-        is PlanStatus.START_BLOCKED
-    )
-    feet = feet_at(near, model.stance_width_m)
-    plan = plan_footsteps(grid, model, start_feet_world=feet, goal=far, options=LATTICE)
+    planner = Planner(grid, model, PlannerOptions(name=name, refine=False))
+    assert planner.plan(start=far, goal=near).status is PlanStatus.GOAL_BLOCKED
+    assert planner.plan(start=near, goal=far).status is PlanStatus.START_BLOCKED
+    plan = planner.plan(start_feet_world=feet_at(near, model.stance_width_m), goal=far)
     assert plan.found
     assert violations(plan, grid, model, stood_freely=False) == []
 
@@ -272,7 +247,11 @@ def test_numbers_that_are_no_pose_are_refused(query, message):
         ({"epsilon": math.inf}, "epsilon inf"),
         ({"final_epsilon": 0.5}, "at least 1"),
         ({"max_expansions": 0}, "max_expansions 0"),
+        ({"improve_expansions": -1}, "improve_expansions -1"),
         ({"time_limit_s": 0.0}, "time_limit_s 0.0"),
+        ({"goal_reach_m": -0.1}, "goal_reach_m -0.1"),
+        ({"goal_reach_m": math.nan}, "goal_reach_m nan"),
+        ({"goal_reach_rad": math.inf}, "goal_reach_rad inf"),
         ({"heuristic": "guess"}, "heuristic 'guess' must be one of full, path, steps, euclidean"),
         ({"heuristic": "path", "name": "adstar"}, "for the planners ara, astar, rstar"),
     ],

@@ -10,11 +10,9 @@ import re
 import numpy as np
 import pytest
 
-from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, pair_pose, relative_step, wrap_angle
-from planner.planner import plan_footsteps
 from planner.robot_model import Side
-from tests.planner_floor import FLOOR, small_plan
+from tests.planner_floor import FLOOR, plan_on_lattice, small_plan
 from tests.planner_oracle import small_model
 
 
@@ -91,9 +89,7 @@ def test_the_file_has_the_documented_keys(plan):
 
 
 def test_an_unproven_bound_is_null_in_the_file():
-    failed = plan_footsteps(
-        FLOOR, small_model(), start=(1, 1, 0), goal=(9, 9, 0), options=PlannerOptions(refine=False)
-    )
+    failed = plan_on_lattice(FLOOR, small_model(), start=(1, 1, 0), goal=(9, 9, 0))
     document = json.loads(failed.to_json())
     assert document["epsilon"] is None
     assert document["steps"] == []

@@ -18,7 +18,7 @@ from planner.planner import Planner, plan_footsteps
 from planner.refinement.cost import NOT_ALLOWED, plan_cost_um
 from planner.robot_model import StepLimits, StepModel
 from planner.verify import violations
-from tests.planner_floor import walled
+from tests.planner_floor import plan_on_lattice, walled
 from tests.planner_oracle import Oracle, small_model
 from tests.planner_refinement import problem_of, random_floor, steps_of
 
@@ -182,7 +182,7 @@ def test_a_chain_with_a_step_outside_is_not_allowed():
     planner = Planner(grid, with_polygon(box), PlannerOptions(refine=False))
     plans = (
         planner.plan(start=start, goal=goal),
-        plan_footsteps(grid, box, start=start, goal=goal, options=PlannerOptions(refine=False)),
+        plan_on_lattice(grid, box, start=start, goal=goal),
     )
     costs_um = []
     for plan in plans:
@@ -218,13 +218,7 @@ def test_a_walk_from_feet_as_they_stand_begins_within_the_polygon():
     first = []
     for angle in np.arange(8) * math.pi / 4:
         goal = (1.5 + 0.9 * math.cos(angle), 1.4 + 0.9 * math.sin(angle), angle)
-        plan = plan_footsteps(
-            walled(30, 40),
-            model,
-            start_feet_world=feet,
-            goal=goal,
-            options=PlannerOptions(refine=False),
-        )
+        plan = plan_on_lattice(walled(30, 40), model, start_feet_world=feet, goal=goal)
         if plan.found:
             first.append(steps_of(plan)[0])
     assert len(first) >= 4

@@ -10,17 +10,15 @@ import shapely
 from shapely import affinity
 
 from app.pictures.canvas import draw_plan
-from maps.grid import Cell, OccupancyGrid
 from maps.map_files import load_map
 from planner.options import PlannerOptions
-from planner.plan import PlanStatus
-from planner.planner import plan_footsteps
+from planner.planner import Planner, plan_footsteps
 from planner.verify import violations
 from sim.robots import get_robot
-from tests.planner_floor import LATTICE
-from tests.planner_treads import LIMITS
+from tests.planner_floor import plan_on_lattice
 
 STAIRS_MAP = load_map("maps/stairs.yaml")
+MODEL = get_robot("jvrc1").step_model
 
 
 @pytest.mark.parametrize(
@@ -35,7 +33,7 @@ STAIRS_MAP = load_map("maps/stairs.yaml")
 @pytest.mark.parametrize("name", ["jvrc1", "hrp5p"])
 def test_stairs_are_walked_with_feet_well_inside_the_treads(name, start, goal, z_m):
     model = get_robot(name).step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=start, goal=goal, options=LATTICE)
+    plan = plan_on_lattice(STAIRS_MAP, model, start=start, goal=goal)
     assert plan.found
     assert violations(plan, STAIRS_MAP, model) == []
     assert (plan.pose_world[-2:, 2] == z_m).all()
@@ -51,36 +49,24 @@ def test_stairs_are_walked_with_feet_well_inside_the_treads(name, start, goal, z
     assert gaps.min() >= model.level_margin_m - 1e-6
 
 
-def test_a_robot_that_does_not_climb_is_told_so():
-    model = replace(get_robot("jvrc1").step_model, limits=replace(LIMITS, z_m=(-0.01, 0.01)))
-    model = replace(model, steps=((0.3, 0.2, 0.0), (0.0, 0.2, 0.0), (0.0, 0.2, 0.3)))
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(8, 0, 0), options=LATTICE)
-    assert plan.status is PlanStatus.NO_PATH
-    assert plan.reason.endswith("steps go from -0.01 to 0.01 m")
-
-
 def test_the_independent_check_finds_wrong_heights():
-    model = get_robot("jvrc1").step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(4.1, 0, 0), options=LATTICE)
-    poses = plan.pose_world.copy()
-    poses[-5, 2] += 0.01
-    lines = violations(replace(plan, pose_world=poses), STAIRS_MAP, model)
-    assert any("is not the height of the ground" in line for line in lines)
-    assert any("rise 0.1100 is outside" in line for line in lines)
-    poses = plan.pose_world.copy()
-    poses[-5, 0] += 0.06
-    assert any(
-        "is not level" in line
-        for line in violations(replace(plan, pose_world=poses), STAIRS_MAP, model)
-    )
-    flat = replace(STAIRS_MAP, elevation_m=None)
-    assert any("flat floor" in line for line in violations(plan, flat, model))
+    plan = plan_on_lattice(STAIRS_MAP, MODEL, start=(0, 0, 0), goal=(4.1, 0, 0))
+
+    def wrongs(moved_m, grid=STAIRS_MAP):
+        poses = plan.pose_world.copy()
+        poses[-5, :3] += moved_m
+        return "\n".join(violations(replace(plan, pose_world=poses), grid, MODEL))
+
+    lifted = wrongs((0, 0, 0.01))
+    assert "is not the height of the ground" in lifted
+    assert "rise 0.1100 is outside" in lifted
+    assert "is not level" in wrongs((0.06, 0, 0))
+    assert "flat floor" in wrongs((0, 0, 0), replace(STAIRS_MAP, elevation_m=None))
 
 
 def test_the_picture_shades_the_floor_by_its_height():
-    model = get_robot("jvrc1").step_model
-    plan = plan_footsteps(STAIRS_MAP, model, start=(0, 0, 0), goal=(0.5, 0, 0), options=LATTICE)
-    image = draw_plan(plan, STAIRS_MAP, model)
+    plan = plan_on_lattice(STAIRS_MAP, MODEL, start=(0, 0, 0), goal=(0.5, 0, 0))
+    image = draw_plan(plan, STAIRS_MAP, MODEL)
     scale = image.shape[1] / STAIRS_MAP.size_m[0]
 
     def shade(x_m):
@@ -92,7 +78,6 @@ def test_the_picture_shades_the_floor_by_its_height():
 
 
 SILLS_MAP = load_map("maps/sills.yaml")
-MODEL = get_robot("jvrc1").step_model
 WAYS = [
     ((0, 0, 0), (6, 2, 0)),
     ((5.5, 0.5, 2.5), (-1.0, -1.0, -1.57)),
@@ -110,11 +95,6 @@ def sole_of(pose):
     return affinity.translate(box, pose[0], pose[1])
 
 
-def bars_between(start, goal):
-    low, high = sorted((start[0], goal[0]))
-    return [(x0, x1) for x0, x1 in BARS_M if low < x0 < high]
-
-
 @pytest.mark.parametrize("refine", [False, True])
 @pytest.mark.parametrize(("start", "goal"), WAYS)
 def test_sills_are_stepped_over_and_never_on(start, goal, refine):
@@ -124,7 +104,8 @@ def test_sills_are_stepped_over_and_never_on(start, goal, refine):
     assert violations(plan, SILLS_MAP, MODEL) == []
     assert (plan.pose_world[:, 2] == 0.0).all()
     soles = [sole_of(pose) for pose in plan.pose_world]
-    crossed = bars_between(start, goal)
+    low, high = sorted((start[0], goal[0]))
+    crossed = [(x0, x1) for x0, x1 in BARS_M if low < x0 < high]
     assert crossed
     for x0, x1 in crossed:
         bar = shapely.box(x0, -2.0, x1, 3.0)
@@ -133,31 +114,10 @@ def test_sills_are_stepped_over_and_never_on(start, goal, refine):
         assert sides == {True, False}
 
 
-def test_sills_higher_than_the_foot_swings_are_in_the_way():
-    low = replace(MODEL, swing_clear_m=0.049)
-    plan = plan_footsteps(SILLS_MAP, low, start=(0, 0, 0), goal=(2.3, 0, 0), options=LATTICE)
-    assert plan.status is PlanStatus.NO_PATH
-
-
-def test_the_same_bars_as_obstacles_shut_the_doors():
-    cells = np.array(SILLS_MAP.cells)
-    for x0, x1 in BARS_M:
-        cols = slice(round((x0 + 2.0) / 0.025), round((x1 + 2.0) / 0.025))
-        cells[:, cols] = Cell.OCCUPIED
-    walls = OccupancyGrid(cells=cells, resolution_m=0.025, origin=SILLS_MAP.origin)
-    plan = plan_footsteps(walls, MODEL, start=(0, 0, 0), goal=(6, 2, 0), options=LATTICE)
-    assert plan.status is PlanStatus.NO_PATH
-
-
 @pytest.mark.parametrize("name", ["astar", "backward", "adstar", "rstar", "rrtconnect"])
 def test_every_planner_finds_the_way_over_a_bar_that_is_the_only_one(name):
     # The fault of humanoid_navigation's default heuristic, which takes such a bar for a wall.
-    plan = plan_footsteps(
-        SILLS_MAP,
-        MODEL,
-        start=(2.2, 0, 0),
-        goal=(3.8, 0.4, 0),
-        options=PlannerOptions(name=name, refine=False),
-    )
+    planner = Planner(SILLS_MAP, MODEL, PlannerOptions(name=name, refine=False))
+    plan = planner.plan(start=(2.2, 0, 0), goal=(3.8, 0.4, 0))
     assert plan.found
     assert violations(plan, SILLS_MAP, MODEL) == []
