@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from maps.grid import Cell, OccupancyGrid
 from planner.heuristics.heuristic import Heuristic, estimate
@@ -17,6 +19,12 @@ from planner.robot_model import StepModel
 from planner.search.problem import Request
 from planner.search.reachability import Verdict, expand_both, new_flood
 from tests.planner_oracle import Node, Oracle, lattice_node, small_model
+
+
+def first_quick(values: Iterable[Any]) -> list[Any]:
+    """The values as parameters of a test: all but the first are marked slow."""
+    first, *others = values
+    return [first, *(pytest.param(value, marks=pytest.mark.slow) for value in others)]
 
 
 def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1):

@@ -134,6 +134,7 @@ def test_the_overview_names_every_command(capsys):
     assert all(f"\n  {name} " in overview() for name in COMMANDS)
 
 
+@pytest.mark.slow
 def test_planning_loads_neither_torch_nor_mujoco():
     done = run_python("-X", "importtime", "main.py", "plan", "--map", ROOM, *GOAL)
     assert done.returncode == ExitCode.DONE

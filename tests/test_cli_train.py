@@ -81,6 +81,7 @@ def test_folder_to_resume_from_must_hold_a_run(tmp_path, trainers, capsys):
     assert trainers == []
 
 
+@pytest.mark.slow
 def test_checkpoint_that_cannot_be_taken_up_is_told_in_one_line(
     tmp_path, trainers, capsys, monkeypatch
 ):

@@ -257,6 +257,7 @@ def test_run_cut_off_and_resumed_gives_the_policy_of_the_whole_run(tmp_path):
     assert resumed.best_score == whole.best_score
 
 
+@pytest.mark.slow
 def test_training_changes_the_policy_and_another_seed_another_way(tmp_path):
     first = weights_of(train(tmp_path, "a", TINY))
     other = weights_of(train(tmp_path, "b", replace(TINY, seed=1)))

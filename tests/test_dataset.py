@@ -187,6 +187,7 @@ def test_the_check_sees_that_a_file_was_changed(small, tmp_path, capsys):
     assert lines == ["plans.npz is not the file that manifest.json was written for"]
 
 
+@pytest.mark.slow
 def test_a_corpus_on_a_map(tmp_path, capsys):
     corpus = dataset(tmp_path, "--count", "3", "--map", ROOM, "--goal-x", "1.5,6")
     assert np.all(corpus.goal[:, 0] >= 1.5)
@@ -297,6 +298,7 @@ def test_a_manifest_that_does_not_tell_enough(small, tmp_path, capsys, change, t
     assert told in refusal(capsys, "dataset", "check", tmp_path)
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_nothing_behind(tmp_path):
     out = tmp_path / "new"
     words = ["dataset", "--count", "100000", "--workers", "2", "--out", str(out)]

@@ -222,6 +222,7 @@ def test_feet_are_told_by_the_height_of_the_ground(on_landing):
     assert (on_landing.plans[0].start_feet_world[:, 2] == 0.6).all()
 
 
+@pytest.mark.slow
 def test_the_shipped_policy_walks_over_the_stairs():
     over = walk(on_stairs((1.4, 0.1, 0.0), (6.8, 0.0, 0.2)))
     assert over.outcome is Outcome.REACHED, over.reason

@@ -79,7 +79,13 @@ def changed(grid, rng, at, frees):
 @pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 @pytest.mark.parametrize("options", [KEPT, PROVEN], ids=["kept", "proven"])
 @pytest.mark.parametrize(
-    ("floor", "seed"), [("small", 0), ("small", 1), ("small", 2), ("large", 3)]
+    ("floor", "seed"),
+    [
+        ("small", 0),
+        ("small", 1),
+        pytest.param("small", 2, marks=pytest.mark.slow),
+        pytest.param("large", 3, marks=pytest.mark.slow),
+    ],
 )
 def test_after_any_steps_and_changes_the_plan_is_right_and_the_bound_true(
     floor, seed, options, model

@@ -181,6 +181,7 @@ def test_a_changed_callee_in_another_file_is_compiled_anew(sources):
         assert twice(sources) == str(2 * number)
 
 
+@pytest.mark.slow
 def test_caches_of_other_sources_go_once_they_are_old_and_nothing_else_does(sources):
     caches = sources / "__pycache__"
     old, used, young = (caches / f"numba-{name}" for name in ("old", "used", "young"))

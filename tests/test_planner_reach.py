@@ -193,6 +193,7 @@ def test_a_chain_with_a_step_outside_is_not_allowed():
     assert costs_um[1] == NOT_ALLOWED
 
 
+@pytest.mark.slow
 def test_the_cheapest_plan_is_that_of_the_oracle():
     model = with_polygon(small_model())
     grid, start = walled(24, 24, ((4, 10, 8, 12),)), (0.6, 0.6, 0.0)

@@ -143,6 +143,7 @@ def test_whoever_stands_in_the_region_need_not_move():
     assert len(plan_footsteps(grid, model, start=start, goal=goal, options=options)) > 0
 
 
+@pytest.mark.slow
 def test_replanning_keeps_to_the_region():
     grid, start, goal = CASES["wall"]
     model, rng = small_model(), np.random.default_rng(2)

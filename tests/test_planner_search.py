@@ -97,6 +97,7 @@ def test_a_plan_cut_short_reports_a_bound_that_holds():
     assert len(bounds) > 1
 
 
+@pytest.mark.slow
 def test_a_way_far_dearer_than_the_heuristic_thinks_is_still_searched_in_order():
     # Posts 0.8 m apart let the robot through only with its shoulders turned, which the path of the
     # body does not know: keys come to lie far above those that the search began with.

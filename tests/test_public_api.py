@@ -119,6 +119,7 @@ def test_the_example_that_plans_draws_its_plan(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.startswith("FootstepPlan(")
 
 
+@pytest.mark.slow
 def test_the_example_that_walks_tells_of_every_step(monkeypatch, capsys):
     run_example(monkeypatch, "walk_a_plan.py", "0.3,0.1,0")
     lines = capsys.readouterr().out.splitlines()
@@ -133,6 +134,7 @@ def test_the_example_that_trains_trains(monkeypatch, capsys):
     assert "after 128 control steps it stays up for" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_notebook_runs(monkeypatch, tmp_path):
     """Its cells one after the other, as a notebook runs them."""
     monkeypatch.chdir(ROOT)
