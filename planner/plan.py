@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -43,6 +43,25 @@ class PlanStatus(StrEnum):
     TIMED_OUT = "timed_out"
 
 
+@dataclass(frozen=True, kw_only=True)
+class NarrowPlace:
+    """Where the widest way is narrowest, too narrow to walk through facing ahead.
+
+    x, y in metres, as in the documents that hold it; the width there and the width needed.
+    """
+
+    x: float
+    y: float
+    width_m: float
+    needed_m: float
+
+    def __str__(self) -> str:
+        return (
+            f"the passage at {self.x + 0.0:.2f},{self.y + 0.0:.2f} is {self.width_m:.2f} m wide; "
+            f"to walk ahead the robot needs {self.needed_m:.2f} m"
+        )
+
+
 def _no_sides() -> NDArray[np.int8]:
     return np.zeros(0, np.int8)
 
@@ -59,6 +78,7 @@ class FootstepPlan:
     start_feet_world (2, 4): where the feet stand before the first step, left then right.
     step_s (N,): how long each step takes, from lift-off to the next foot's; None: as long as the
         gait of the robot does.
+    narrow_place: where there is no plan, the place that is too narrow to walk through, if any is.
     start, goal: pair poses x_m, y_m, yaw_rad. Arrays are read-only.
     epsilon: proven bound: what the search found costs at most epsilon times the optimum on the
         lattice, and refinement only lowers that; inf if nothing is proven.
@@ -72,6 +92,7 @@ class FootstepPlan:
     side: NDArray[np.int8] = field(default_factory=_no_sides)
     pose_world: FloatArray = field(default_factory=_no_poses)
     step_s: FloatArray | None = None
+    narrow_place: NarrowPlace | None = None
     robot: str = ""
     map: str = ""
     status: PlanStatus = PlanStatus.FOUND
@@ -125,6 +146,7 @@ class FootstepPlan:
             "goal": [float(v) for v in self.goal],
             "status": str(self.status),
             "reason": self.reason,
+            **({"narrow_place": asdict(self.narrow_place)} if self.narrow_place else {}),
             "start_feet": {
                 side.name.lower(): self.start_feet_world[side].tolist() for side in Side
             },
@@ -189,6 +211,7 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         map=str(document["map"]),
         status=PlanStatus(document["status"]),
         reason=str(document["reason"]),
+        narrow_place=_narrow_place(document.get("narrow_place")),
         cost_m=float(document["cost_m"]),
         cost_before_refinement_m=None if before is None else float(before),
         epsilon=math.inf if epsilon is None else float(epsilon),
@@ -197,6 +220,13 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         time_s=float(document["time_s"]),
         planner=str(document["planner"]),
     )
+
+
+def _narrow_place(document: Mapping[str, float] | None) -> NarrowPlace | None:
+    if document is None:
+        return None
+    keys = ("x", "y", "width_m", "needed_m")
+    return NarrowPlace(**dict(zip(keys, _numbers([document[k] for k in keys], 4), strict=True)))
 
 
 def _side(name: str) -> Side:

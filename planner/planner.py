@@ -31,6 +31,7 @@ from planner.refinement.refine import refine
 from planner.robot_model import Side, StepModel
 from planner.search.ad_star import plan_adstar
 from planner.search.ara_star import coarse_model, plan_ara, plan_astar, plan_backward
+from planner.search.passages import narrow_place
 from planner.search.problem import GoalContext, Request, Result
 from planner.search.r_star import plan_rstar
 from planner.search.search_record import SearchRecord
@@ -250,6 +251,8 @@ class Planner:
             expansions=result.expansions,
             time_to_first_s=result.time_to_first_s,
         )
+        if result.status in (PlanStatus.NO_PATH, PlanStatus.TIMED_OUT):
+            plan = self._with_narrow_place(plan)
         if result.status is PlanStatus.NO_PATH and not self._terrain.is_flat:
             low_m, high_m = self.model.limits.z_m
             return replace(plan, reason=f"{plan.reason}; steps go from {low_m:g} to {high_m:g} m")
@@ -257,6 +260,21 @@ class Planner:
             return plan
         plan = replace(self._with_steps(plan, result), epsilon=result.epsilon)
         return self._refined(plan, request, result) if self.options.refine else plan
+
+    def _with_narrow_place(self, plan: FootstepPlan) -> FootstepPlan:
+        """The plan with the narrow place of the widest way, if the robot cannot walk through."""
+        start, goal = self._cell(plan.start), self._cell(plan.goal)
+        place = narrow_place(self._terrain, self.model, start, goal)
+        if place is None:
+            return plan
+        x_m, y_m = (float(v) for v in self.grid.grid_to_world((place.x, place.y)))
+        place = replace(place, x=x_m, y=y_m)
+        return replace(plan, narrow_place=place, reason=f"{plan.reason}; {place}")
+
+    def _cell(self, pose: Pose) -> tuple[int, int]:
+        """Row and column of the map's cell in which a pose lies."""
+        x_m, y_m = (float(v) for v in self.grid.world_to_grid(pose[:2]))
+        return int(y_m // self.grid.resolution_m), int(x_m // self.grid.resolution_m)
 
     def _refined(self, plan: FootstepPlan, request: Request, result: Result) -> FootstepPlan:
         """The refined plan; the plan itself if that is no cheaper or `violations` finds a fault."""

@@ -189,6 +189,7 @@ class Navigator:
             seed=self.seed,
             policy=policy,
             gait=self._gait.summary(),
+            narrow_place=self.plans[-1].narrow_place if self.plans else None,
             versions=installed_versions(),
         )
 

@@ -19,9 +19,12 @@ from numpy.typing import ArrayLike
 
 from app.output import ExitCode, to_json
 from controller.evaluation.gait_summary import GaitSummary
+from planner.plan import NarrowPlace
 
 FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
+# Left out where a walk is too short to have a gait, or no place too narrow.
+_OPTIONAL = ("gait", "narrow_place")
 PoseTuple = tuple[float, float, float]
 
 
@@ -101,6 +104,7 @@ class NavigationReport:
     seed: int
     policy: PolicyFile | None = None
     gait: GaitSummary | None = None
+    narrow_place: NarrowPlace | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -112,13 +116,14 @@ class NavigationReport:
         """The text of report.json."""
         values = {key: getattr(self, key) for key in _KEYS}
         values["outcome"] = str(self.outcome)
-        for key in ("foot_error_m", "policy", "gait"):
+        for key in ("foot_error_m", "policy", "gait", "narrow_place"):
             values[key] = None if values[key] is None else dataclasses.asdict(values[key])
         for key in ("start", "goal"):
             values[key] = [float(part) for part in values[key]]
         values["versions"] = dict(self.versions)
-        if self.gait is None:
-            del values["gait"]  # too few steps to speak of one
+        for key in _OPTIONAL:
+            if values[key] is None:
+                del values[key]
         return to_json({"format": FORMAT, **values})
 
     @classmethod
@@ -143,6 +148,7 @@ class NavigationReport:
                 ("foot_error_m", Percentiles),
                 ("policy", PolicyFile),
                 ("gait", GaitSummary),
+                ("narrow_place", NarrowPlace),
             ):
                 values[key] = None if values.get(key) is None else kind(**values[key])
             for key in ("start", "goal"):
@@ -195,7 +201,7 @@ _KEYS = tuple(field.name for field in dataclasses.fields(NavigationReport))
 
 def _check_keys(values: Mapping[str, Any]) -> None:
     for key in _KEYS:
-        if key not in values and key != "gait":  # a short walk has none
+        if key not in values and key not in _OPTIONAL:
             raise ValueError(f"not a report: key {key!r} is missing")
     for key in values:
         if key not in _KEYS:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import Cell, OccupancyGrid
-from planner.plan import FootstepPlan, feet_at, pair_pose
+from planner.plan import FootstepPlan, NarrowPlace, feet_at, pair_pose
 from planner.robot_model import FootShape, Side, StepModel
 
 Colour = tuple[int, int, int]  # blue, green, red
@@ -24,6 +24,7 @@ GOAL: Colour = (60, 40, 200)
 PATH: Colour = (150, 130, 120)
 BODY: Colour = (150, 60, 112)
 PLANNED: Colour = (50, 50, 50)
+NARROW: Colour = (30, 30, 200)
 INK: Colour = (54, 48, 45)
 PAPER: Colour = (255, 255, 255)
 _FLOOR: Colour = (250, 250, 250)
@@ -203,6 +204,15 @@ class Canvas:
         behind = _placed(np.array([[-0.42, 0.0]]) * unit, x_m, y_m, yaw_rad)
         self._label(label, self.pixels(behind)[0] >> _SUB, colour)
 
+    def narrow_place(self, place: NarrowPlace) -> None:
+        """A ring around a narrow place, never smaller than can be seen, and its width."""
+        radius_px = max(0.5 * place.width_m * self.px_per_m, 12.0)
+        centre = self.pixels((place.x, place.y))
+        radius = round(radius_px * (1 << _SUB))
+        cv2.circle(self.image, tuple(centre), radius, NARROW, 2, cv2.LINE_AA, _SUB)
+        below = (centre >> _SUB) + (0, round(radius_px) + 12)
+        self._label(f"{place.width_m:.2f} m wide", below, NARROW)
+
     def _label(self, text: str, at_px: NDArray[np.int32], colour: Colour) -> None:
         height, width = self.image.shape[:2]
         (text_w, text_h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
@@ -256,9 +266,12 @@ def draw_plan(
     """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
 
     Large maps are cropped to the surroundings of the plan, and any map to those of points
-    shown_world (n, 2) where they are given. A plan that was not found shows start and goal only.
+    shown_world (n, 2) where they are given. A plan that was not found shows start, goal, and the
+    passage that is too narrow, if any is.
     """
     points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
+    if plan.narrow_place is not None:
+        points = np.vstack([points, [plan.narrow_place.x, plan.narrow_place.y]])
     margin_m, crop = 1.5, max(grid.size_m) > 12.0
     if shown_world is not None:
         points, margin_m, crop = np.asarray(shown_world, dtype=float), 0.8, True
@@ -272,4 +285,6 @@ def draw_plan(
             canvas.foot(pose, side, model, 0.12)
     canvas.arrow(plan.start, START, "start")
     canvas.arrow(plan.goal, GOAL, "goal")
+    if plan.narrow_place is not None:
+        canvas.narrow_place(plan.narrow_place)
     return canvas.image

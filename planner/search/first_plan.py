@@ -36,6 +36,7 @@ from planner.search.best_first import (
     new_bins,
     start_iteration,
 )
+from planner.search.passages import is_shut
 from planner.search.problem import Request, SearchTask, trace
 
 # Weights on the heuristic, most expansions with each, and whether states are binned.
@@ -61,9 +62,9 @@ def find_first_plan(
     """A plan from first steps (n,) with their costs to the goal's own pose, or None.
 
     Its bound holds for plans to all of the goal region. CUT_OFF where the goal's own pose is the
-    only end and no path of the body leads there. If more than the first plan is wanted and the goal
-    is a region there is none: it would cost effort to improve a plan to the middle of the region,
-    the dearest end.
+    only end and no path of the body leads there, or no steps through its narrow passages. If more
+    than the first plan is wanted and the goal is a region there is none: it would cost effort to
+    improve a plan to the middle of the region, the dearest end.
     """
     context = request.context
     if context.region.is_point:
@@ -86,7 +87,7 @@ def is_cut_off(request: Request, nodes: Int64s) -> bool:
         return False
     cells = np.unique(request.context.body_cells(nodes))
     path = path_toward(request.lattice, request.context.tables.potential, cells, margin_moves=0)
-    return not path.reaches_any(cells)
+    return not path.reaches_any(cells) or is_shut(request, nodes)
 
 
 def _plan_to_point(
@@ -118,7 +119,9 @@ def _plan_to_point(
             return first
         path = path_toward(lattice, potential, cells)
     first = _plan_along(request, path, nodes, costs_um, options, _TRIES, first)
-    return first if len(first.nodes) else None
+    if len(first.nodes):
+        return first
+    return CUT_OFF if is_shut(request, nodes) else None
 
 
 def _plan_along(

@@ -376,11 +376,8 @@ def no_first_step(request: Request) -> Result:
 
 
 def no_body_path() -> Result:
-    """The result where no path of the body leads from the start to the goal."""
-    reason = (
-        "the goal cannot be reached: obstacles enclose the start or the goal for a body of this "
-        "width"
-    )
+    """The result where the body has no way from the start to the goal."""
+    reason = "the goal cannot be reached: obstacles leave no way for a body of this size"
     return failure(PlanStatus.NO_PATH, reason)
 
 
