@@ -103,7 +103,8 @@ def narrow_place(
     if passage is None or passage.width_m > needed_m(model) + 2 * _RAY_STEP_M:
         return None
     x_m, y_m = (float(v) for v in passage.ends_m.mean(axis=0))
-    return NarrowPlace(x=x_m, y=y_m, width_m=passage.width_m, needed_m=needed_m(model))
+    width_m = round(passage.width_m, 2)
+    return NarrowPlace(x=x_m, y=y_m, width_m=width_m, needed_m=round(needed_m(model), 3))
 
 
 def needed_m(model: StepModel) -> float:
@@ -338,7 +339,7 @@ def _nearest(points_m: Floats, label: NDArray[np.int32], way_m: Floats, away_m: 
 
 
 def _middles_m(terrain: Terrain, cells: Cells) -> Floats:
-    return (cells[:, ::-1] + 0.5) * terrain.resolution_m
+    return np.asarray((cells[:, ::-1] + 0.5) * terrain.resolution_m, dtype=float)
 
 
 def _origin_m(lattice: Lattice) -> Floats:
@@ -349,8 +350,8 @@ def _to_grid(lattice: Lattice, cells: Int64s) -> Floats:
     """Points (n, 2) of lattice cells (n,) in the grid frame."""
     _, _, cos, sin = lattice.frame
     col, row = cells % lattice.cols - lattice.origin_col, cells // lattice.cols - lattice.origin_row
-    turned = np.column_stack([cos * col - sin * row, sin * col + cos * row])
-    return np.asarray(_origin_m(lattice) + lattice.cell_m * turned)
+    turned: Floats = np.column_stack([cos * col - sin * row, sin * col + cos * row])
+    return _origin_m(lattice) + lattice.cell_m * turned
 
 
 def _cells_at(terrain: Terrain, points_m: Floats) -> Cells:
