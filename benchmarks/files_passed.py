@@ -26,7 +26,7 @@ from typing import Any
 from app.commands.plan import PlanOptions
 from app.commands.plan import run as plan
 from app.options import MapOptions, read_grid
-from app.viewer.planner_process import Answer, Query, World, answer_questions
+from app.viewer.planner_process import Answer, Asked, Query, World, answer_questions
 from benchmarks.page_click import SERVED, clicked, watched_page
 from planner.plan import Pose, feet_at
 from sim.robots import get_robot
@@ -83,7 +83,8 @@ def count_click(counter: FileCounter, grid_file: Path, goal: Pose) -> None:
     ours.send(World(grid=grid, model=model, options=SERVED))
     feet = feet_at((0.0, 0.0, 0.0), model.stance_width_m)
     for number, is_counted in enumerate((False, True)):
-        query = Query(number=number, goal=goal, start_feet_world=feet, first_side=None, once=True)
+        asked = Asked(goal=goal, start_feet_world=feet, first_side=None)
+        query = Query(number=number, asked=asked, once=True)
         with counter.on() if is_counted else contextlib.nullcontext():
             ours.send(query)
             while not isinstance(ours.recv(), Answer):

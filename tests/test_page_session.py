@@ -207,8 +207,8 @@ def test_it_rests_when_it_has_nowhere_to_go(session):
 def test_a_planner_that_dies_is_replaced(session):
     session.go_to(AHEAD)
     wait_for(session, lambda now: now.status == "walking")
-    session._planner._process.kill()
-    session._planner._process.join()
+    session._planner.process.kill()
+    session._planner.process.join()
     session.go_to((1.5, 0.0, 0.0))
     wait_for(session, lambda now: now.goal[0] == 1.5)
 

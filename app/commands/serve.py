@@ -91,16 +91,13 @@ def _load_planner(session: Session) -> None:
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:
-    from app.viewer.nearest_pose import place_to_stand
+    from app.viewer.planner_process import World, place_to_stand
 
     wanted = "--start {:g},{:g},{:g}".format(*options.start)
     if not grid.contains(options.start[:2]):
         raise InputError(f"{wanted} is off the map")
-    stand = place_to_stand(grid, robot.step_model, options.unknown_is_free, options.start)
-    if stand.blocked:
-        near = (
-            "none within 2 m"
-            if stand.alternative is None
-            else "{:g},{:g},{:g}".format(*stand.alternative)
-        )
-        raise InputError(f"{wanted}: {stand.blocked}; the nearest free pose is {near}")
+    world = World(grid=grid, model=robot.step_model, options=options.planner_options())
+    blocked, free = place_to_stand(world, options.start)
+    if blocked:
+        near = "none within 2 m" if free is None else "{:g},{:g},{:g}".format(*free)
+        raise InputError(f"{wanted}: {blocked}; the nearest free pose is {near}")

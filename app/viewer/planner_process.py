@@ -5,35 +5,54 @@ from __future__ import annotations
 import math
 import multiprocessing
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, Unpack
 
+import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
-from app.viewer.nearest_pose import free_pose, reachable_pose
 from maps.grid import OccupancyGrid
-from planner.collision import terrain_of
+from planner.collision import Terrain, terrain_of
+from planner.endpoints import nearest_free_pose, what_blocks
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan, PlanStatus, Pose, pair_pose
+from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, finite_pose, pair_pose
 from planner.planner import Planner
 from planner.robot_model import Side, StepModel
 
-# What robot and planner tell each other across the pipe between their processes.
+# How long a plan that is there already is improved.
+POLISH_S = 1.0
+# How long the robot may wait for a plan between two steps; its physics catch up afterwards.
+WAIT_LIMIT_S = 0.2
+# Longer than any planner takes that is still alive.
+_ENDLESS_S = 600.0
+# A planner that has died so often before it was ready will not do better.
+_MOST_STARTS = 3
+# Another pose than the goal must be found soon: so many are tried, so far apart, and so long.
+_MOST_TRIED = 6
+_APART_M = 0.3
+_LONGEST_S = 0.5
+
+
+class Asked(TypedDict):
+    """What a planner is asked, see `Planner.plan`: from both feet (2, 4) to a pair pose."""
+
+    goal: Sequence[float]
+    start_feet_world: np.ndarray
+    first_side: Side | None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Query:
-    """What is asked: from both feet (2, 4) to a pair pose; `number` tells answers apart.
+    """A question across the pipe; `number` tells answers apart.
 
     once: there is one answer, the plan that the world's options make as they stand.
     """
 
     number: int
-    goal: Pose
-    start_feet_world: np.ndarray
-    first_side: Side | None
+    asked: Asked
     once: bool
 
 
@@ -62,12 +81,6 @@ class World:
     grid: OccupancyGrid
     model: StepModel
     options: PlannerOptions
-
-
-# The process that plans: it answers the newest question, until nobody asks any more.
-
-# How long a plan that is there already is improved.
-POLISH_S = 1.0
 
 
 def answer_questions(pipe: Connection) -> None:
@@ -129,63 +142,111 @@ def _planners(world: World) -> _Planners:
 
 
 def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -> None:
-    asked: dict[str, Any] = {
-        "goal": query.goal,
-        "start_feet_world": query.start_feet_world,
-        "first_side": query.first_side,
-    }
+    asked, number = query.asked, query.number
     if query.once:
-        pipe.send(Answer(number=query.number, plan=planners.plain.plan(**asked)))
+        pipe.send(Answer(number=number, plan=planners.plain.plan(**asked)))
         return
     plan = planners.quick.plan(**asked)
     improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
-    alternative = None if plan.found else _alternative(world, planners.quick, query, plan.status)
-    pipe.send(
-        Answer(number=query.number, plan=plan, alternative=alternative, is_last=not improvable)
-    )
+    alternative = None if plan.found else _alternative(world, planners.quick, asked, plan.status)
+    pipe.send(Answer(number=number, plan=plan, alternative=alternative, is_last=not improvable))
     if improvable and not pipe.poll():
         better = planners.thorough.plan(**asked)
         # Off the lattice the better start may come out dearer.
         if better.found and better.cost_m <= plan.cost_m:
             plan = replace(better, time_to_first_s=plan.time_s)
-        pipe.send(Answer(number=query.number, plan=plan))
+        pipe.send(Answer(number=number, plan=plan))
 
 
-def _alternative(world: World, planner: Planner, query: Query, status: PlanStatus) -> Pose | None:
+def _alternative(world: World, planner: Planner, asked: Asked, status: PlanStatus) -> Pose | None:
     """A pose that would do instead of the goal, if there is one near."""
-    terrain = terrain_of(world.grid, world.options.unknown_is_free)
+    grid, model, goal = world.grid, world.model, asked["goal"]
+    terrain = terrain_of(grid, world.options.unknown_is_free)
     if status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
-        return free_pose(world.grid, terrain, world.model, query.goal)
+        return nearest_free_pose(grid, terrain, model, goal)
     if status is not PlanStatus.NO_PATH:
         return None
+    start = pair_pose(asked["start_feet_world"])
 
     def has_way(pose: Pose) -> bool:
-        feet, first = query.start_feet_world, query.first_side
-        return planner.plan(goal=pose, start_feet_world=feet, first_side=first).found
+        there: Asked = {**asked, "goal": pose}
+        return planner.plan(**there).found
 
-    start = pair_pose(query.start_feet_world)
-    return reachable_pose(world.grid, terrain, world.model, start, query.goal, has_way)
+    return _nearest_reachable_pose(grid, terrain, model, start, goal, has_way)
 
 
-# How long the robot may wait for a plan between two steps; its physics catch up afterwards.
-WAIT_LIMIT_S = 0.2
-# Longer than any planner takes that is still alive.
-_ENDLESS_S = 600.0
-# A planner that has died so often before it was ready will not do better.
-_MOST_STARTS = 3
+def place_to_stand(world: World, pose: Pose) -> tuple[str, Pose | None]:
+    """Why the robot cannot stand at a pose, and the nearest one within 2 m at which it can.
+
+    Empty and None if it can stand there.
+    """
+    grid, model = world.grid, world.model
+    terrain = terrain_of(grid, world.options.unknown_is_free)
+    blocked = what_blocks(grid, terrain, model, feet_at(pose, model.stance_width_m))
+    return blocked, nearest_free_pose(grid, terrain, model, pose) if blocked else None
+
+
+def _nearest_reachable_pose(
+    grid: OccupancyGrid,
+    terrain: Terrain,
+    model: StepModel,
+    start: ArrayLike,
+    goal: Sequence[float],
+    has_way: Callable[[Pose], bool],
+) -> Pose | None:
+    """The pose nearest to a free goal without a way to which `has_way` finds one.
+
+    Only places are tried to which a disk as wide as the body can roll from the start (x, y, ...),
+    and few of them.
+    """
+    until_s = time.monotonic() + _LONGEST_S
+    tried: list[Pose] = []
+    places = _rolled_to(grid, terrain, model, start)
+    for place in places[np.argsort(np.hypot(*(places - goal[:2]).T), kind="stable")]:
+        pose = round(float(place[0]), 3), round(float(place[1]), 3), goal[2]
+        if len(tried) == _MOST_TRIED or time.monotonic() > until_s:
+            return None
+        if any(math.dist(pose[:2], other[:2]) < _APART_M for other in tried):
+            continue
+        if what_blocks(grid, terrain, model, feet_at(pose, model.stance_width_m)):
+            continue
+        if has_way(pose):
+            return pose
+        tried.append(pose)
+    return None
+
+
+def _rolled_to(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, start: ArrayLike
+) -> np.ndarray:
+    """Centres (n, 2) in the world of cells to which the narrowest disk in the body can roll."""
+    radius_m = min(model.body.length_m, model.body.width_m) / 2
+    wide = (np.asarray(terrain.clearance_m) > radius_m).astype(np.uint8)
+    row, col = (int(value) for value in grid.world_to_cell(np.asarray(start)[:2]))
+    rows, cols = grid.shape
+    if not (0 <= row < rows and 0 <= col < cols):
+        return np.zeros((0, 2))
+    _, labels = cv2.connectedComponents(wide, connectivity=8)
+    # Whoever stands too near to a wall is in the nearest room.
+    near = max(1, math.ceil(radius_m / grid.resolution_m))
+    window = labels[max(0, row - near) : row + near + 1, max(0, col - near) : col + near + 1]
+    counts = np.bincount(window[window > 0])
+    if not len(counts):
+        return np.zeros((0, 2))
+    label = labels[row, col] or int(counts.argmax())
+    return grid.cell_to_world(np.argwhere(labels == label))
 
 
 class PlannerProcess:
     """Asks a planner in another process; used from one thread.
 
-    `ask` and `answers` never wait. `plan` waits for at most `wait_limit_s`, and says that time ran
-    out when there is nothing by then.
+    `ask` and `answers` never wait. `plan` waits for at most WAIT_LIMIT_S, and says that time ran
+    out when there is nothing by then. `number` is that of the last question, whoever asked it.
     """
 
-    def __init__(self, world: World, *, wait_limit_s: float = WAIT_LIMIT_S) -> None:
-        self.wait_limit_s = wait_limit_s
+    def __init__(self, world: World) -> None:
         self._world = world
-        self._number = 0
+        self.number = 0
         self._open: Query | None = None
         self._kept: list[Answer] = []
         self._is_ready = False
@@ -196,22 +257,12 @@ class PlannerProcess:
         self._starts += 1
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(
+        self.process = context.Process(
             target=answer_questions, args=(theirs,), daemon=True, name="planner"
         )
-        self._process.start()
+        self.process.start()
         theirs.close()
         self._send(self._world)
-
-    @property
-    def number(self) -> int:
-        """Of the last question, whoever asked it."""
-        return self._number
-
-    @property
-    def process_id(self) -> int | None:
-        """Of the process that plans."""
-        return self._process.pid
 
     def is_ready(self, wait_s: float = 0.0) -> bool:
         """Whether the first question would be answered at once; waits for that for so long."""
@@ -225,26 +276,12 @@ class PlannerProcess:
         self._kept.clear()
         self._send(world)
 
-    def ask(
-        self,
-        *,
-        goal: Sequence[float],
-        start_feet_world: np.ndarray,
-        first_side: Side | None,
-        once: bool = False,
-    ) -> int:
+    def ask(self, *, once: bool = False, **asked: Unpack[Asked]) -> int:
         """Asks for a plan; returns the number of its answers. Older questions are dropped."""
-        self._number += 1
-        x_m, y_m, yaw_rad = (float(value) for value in goal)
-        self._open = Query(
-            number=self._number,
-            goal=(x_m, y_m, yaw_rad),
-            start_feet_world=np.array(start_feet_world),
-            first_side=first_side,
-            once=once,
-        )
+        self.number += 1
+        self._open = Query(number=self.number, asked=asked, once=once)
         self._send(self._open)
-        return self._number
+        return self.number
 
     def answers(self) -> list[Answer]:
         """The answers that came since the last call, to the last question only."""
@@ -252,21 +289,14 @@ class PlannerProcess:
         kept, self._kept = self._kept, []
         return kept
 
-    def plan(
-        self,
-        *,
-        goal: Sequence[float],
-        start_feet_world: np.ndarray,
-        first_side: Side | None,
-        once: bool = False,
-    ) -> FootstepPlan:
+    def plan(self, *, once: bool = False, **asked: Unpack[Asked]) -> FootstepPlan:
         """The best plan that is there in time; status TIMED_OUT if none is.
 
         once: the plan that the world's options make as they stand, however long it takes.
         """
-        wait_limit_s = _ENDLESS_S if once else self.wait_limit_s
+        wait_limit_s = _ENDLESS_S if once else WAIT_LIMIT_S
         began = time.monotonic()
-        self.ask(goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=once)
+        self.ask(once=once, **asked)
         best: FootstepPlan | None = None
         while (left_s := wait_limit_s - (time.monotonic() - began)) > 0:
             self._receive(left_s)
@@ -276,11 +306,11 @@ class PlannerProcess:
                     return best
         if best is not None:
             return best
-        start, end = pair_pose(start_feet_world), [float(value) for value in goal]
+        feet = asked["start_feet_world"]
         return FootstepPlan(
-            start_feet_world=start_feet_world,
-            start=(start[0], start[1], start[2]),
-            goal=(end[0], end[1], end[2]),
+            start_feet_world=feet,
+            start=finite_pose(pair_pose(feet).tolist()),
+            goal=finite_pose(asked["goal"]),
             status=PlanStatus.TIMED_OUT,
             reason=f"no plan within {wait_limit_s:g} s",
             epsilon=math.inf,
@@ -290,8 +320,8 @@ class PlannerProcess:
     def close(self) -> None:
         """Ends the process."""
         self._pipe.close()
-        self._process.terminate()
-        self._process.join(timeout=5.0)
+        self.process.terminate()
+        self.process.join(timeout=5.0)
 
     def _send(self, message: Any) -> None:
         try:
@@ -307,7 +337,7 @@ class PlannerProcess:
                 wait_s = 0.0
                 if isinstance(answer, Ready):
                     self._is_ready = True
-                elif answer.number == self._number:
+                elif answer.number == self.number:
                     self._open = None
                     self._kept.append(answer)
         except (EOFError, OSError):
@@ -326,23 +356,19 @@ class PlannerProcess:
         self._pipe.close()
         if self._starts >= _MOST_STARTS and not self._is_ready:
             raise RuntimeError(f"the planner's process has died {self._starts} times at its start")
-        self._process.join(timeout=1.0)
+        self.process.join(timeout=1.0)
         self._start()
 
 
+@dataclass(frozen=True)
 class BlockingPlanner:
     """Asks a planner in another process and waits until it is done, as if it were in this one.
 
     For planners that would hold Python's global lock, and so the page, for as long as they plan.
     """
 
-    def __init__(self, process: PlannerProcess) -> None:
-        self._process = process
+    process: PlannerProcess
 
-    def plan(
-        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
-    ) -> FootstepPlan:
+    def plan(self, **asked: Unpack[Asked]) -> FootstepPlan:
         """The plan, however long it takes."""
-        return self._process.plan(
-            goal=goal, start_feet_world=start_feet_world, first_side=first_side, once=True
-        )
+        return self.process.plan(once=True, **asked)

@@ -15,9 +15,8 @@ from functools import cached_property
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.output import InputError
 from app.viewer.live_navigator import LiveNavigator
-from app.viewer.nearest_pose import Stand, place_to_stand
 from app.viewer.obstacles import Obstacle, with_obstacles
-from app.viewer.planner_process import BlockingPlanner, PlannerProcess, World
+from app.viewer.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
 from app.viewer.replanning import Replanner
 from app.viewer.snapshot import Notice, Snapshot, WalkHistory
 from controller.gait import CONTROL_PERIOD_S
@@ -134,11 +133,6 @@ class WalkSetup:
     def world(self) -> World:
         """What is planned over."""
         return World(grid=self.grid, model=self.robot.step_model, options=self.options)
-
-    def stand(self, pose: Pose) -> Stand:
-        """Whether the robot can be put at a pose."""
-        unknown_is_free = self.options.unknown_is_free
-        return place_to_stand(self.grid, self.robot.step_model, unknown_is_free, pose)
 
     def navigator(
         self, *, goal: Pose | None = None, planner: FootstepPlanner | None
@@ -276,7 +270,7 @@ class Session:
     @property
     def planner_pid(self) -> int | None:
         """The process that plans."""
-        return self._planner.process_id
+        return self._planner.process.pid
 
     def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
         """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
@@ -374,11 +368,11 @@ class Session:
 
     def _reset(self, start: Pose | None) -> None:
         wanted = start or self._setup.start
-        stand = self._setup.stand(wanted)
-        if stand.blocked:
-            text = f"the robot cannot stand there: {stand.blocked}"
+        blocked, alternative = place_to_stand(self._setup.world, wanted)
+        if blocked:
+            text = f"the robot cannot stand there: {blocked}"
             self._replanner.notice = Notice(
-                text=text, refused=wanted, alternative=stand.alternative, puts_robot=True
+                text=text, refused=wanted, alternative=alternative, puts_robot=True
             )
             return
         self._setup = replace(self._setup, start=wanted)
