@@ -13,8 +13,7 @@ import viser
 
 from app.viewer.map_scene import add_floor, solid
 from app.viewer.markers import Footprints, Marker
-from app.viewer.obstacle_editor import ObstacleEditor
-from app.viewer.obstacles import Obstacle, snapped
+from app.viewer.obstacles import Obstacle, ObstacleEditor, snapped
 from app.viewer.pointer import FLOOR, WALL, Surface, SurfaceHit, surface_of
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +14,17 @@ from maps.grid import Cell, OccupancyGrid
 from maps.terraces import plates_of, terraces_of
 from sim.scene import WALL_HEIGHT_M
 
-# Boxes that stand side by side as one solid: no faces where they touch.
-#
-# Where two boxes touch, the edges of their faces would flicker through the tops.
-
+FLOOR_RGB = (205, 208, 212)
+LINE_RGB = (178, 182, 188)
+WALL_RGB = (150, 134, 114)
+UNKNOWN_RGB = (150, 153, 158)
+HIGHEST_RGB = (214, 190, 152)
+_FLOOR_THICKNESS_M = 0.02
+# So deep that the colour does not shine through the floor far from the camera.
+_SLAB_DEPTH_M = 0.3
+_UNKNOWN_HEIGHT_M = 0.02
+_LINES_HEIGHT_M = 0.001
+_SHADES = 24
 FloatArray = NDArray[np.float64]
 
 
@@ -30,7 +38,8 @@ class Mesh(NamedTuple):
 def solid(boxes: FloatArray, *, base_m: float, rise_m: float, cell_m: float) -> Mesh:
     """Boxes (n, 5) of `maps.terraces` as they are seen from above, each `rise_m` above its height.
 
-    They stand on `base_m`, and on whole cells of the side `cell_m`.
+    They stand on `base_m`, and on whole cells of the side `cell_m`. There are no faces where two of
+    them touch: their edges would flicker through the tops.
     """
     edges = np.round(
         np.stack([boxes[:, :2] - boxes[:, 2:4], boxes[:, :2] + boxes[:, 2:4]], axis=1) / cell_m
@@ -41,12 +50,15 @@ def solid(boxes: FloatArray, *, base_m: float, rise_m: float, cell_m: float) -> 
     top_m = np.full((rows, cols), base_m)
     for ((x0, y0), (x1, y1)), reach_m in zip(edges - first, tops_m, strict=True):
         top_m[y0:y1, x0:x1] = reach_m
-    quads = np.concatenate(
-        [_lids(edges, tops_m, cell_m), _walls(top_m, first, cell_m), _fronts(top_m, first, cell_m)]
-    )
-    corner = 4 * np.arange(len(quads))[:, None, None]
-    faces = (corner + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
-    return Mesh(quads.reshape(-1, 3), faces)
+    upright = [_upright(top_m, first, cell_m, axis) for axis in (0, 1)]
+    quads = np.concatenate([_lids(edges, tops_m, cell_m), *upright])
+    return Mesh(quads.reshape(-1, 3), quad_faces(len(quads)))
+
+
+def quad_faces(count: int) -> NDArray[np.int64]:
+    """Two triangles for each four vertices, (2 * count, 3)."""
+    corner = 4 * np.arange(count)[:, None, None]
+    return (corner + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
 
 
 def _lids(edges: NDArray[np.int64], tops_m: FloatArray, cell_m: float) -> FloatArray:
@@ -56,18 +68,24 @@ def _lids(edges: NDArray[np.int64], tops_m: FloatArray, cell_m: float) -> FloatA
     return np.stack([xs, ys, np.repeat(tops_m[:, None], 4, axis=1)], axis=2)
 
 
-def _walls(top_m: FloatArray, first: NDArray[np.int64], cell_m: float) -> FloatArray:
-    """The faces that look along x, (n, 4, 3): between each cell and the next in its row."""
-    runs = _runs(top_m[:, :-1], top_m[:, 1:])
-    x, y0, y1 = ((runs[:, :3] + np.array([1, 0, 0]) + first[[0, 1, 1]]) * cell_m).T
-    return _upright(np.stack([x, y0], axis=1), np.stack([x, y1], axis=1), runs[:, 3], runs[:, 4])
+def _upright(top_m: FloatArray, first: NDArray[np.int64], cell_m: float, axis: int) -> FloatArray:
+    """The faces (n, 4, 3) that look along x or y, the axis 0 or 1, to where it is lower.
 
-
-def _fronts(top_m: FloatArray, first: NDArray[np.int64], cell_m: float) -> FloatArray:
-    """The faces that look along y, (n, 4, 3): between each cell and the next in its column."""
-    runs = _runs(top_m.T[:, :-1], top_m.T[:, 1:])
-    y, x0, x1 = ((runs[:, :3] + np.array([1, 0, 0]) + first[[1, 0, 0]]) * cell_m).T
-    return _upright(np.stack([x1, y], axis=1), np.stack([x0, y], axis=1), runs[:, 3], runs[:, 4])
+    top_m (rows, cols): how high each cell reaches. first (2,): the column and row of the first.
+    """
+    heights_m = top_m if axis == 0 else top_m.T
+    runs = _runs(heights_m[:, :-1], heights_m[:, 1:])
+    corner = runs[:, :3] + np.array([1, 0, 0]) + first[[axis, 1 - axis, 1 - axis]]
+    at, low, high = (cell_m * corner).T
+    begin, end = np.stack([at, low], axis=1), np.stack([at, high], axis=1)
+    if axis == 1:
+        begin, end = end[:, ::-1], begin[:, ::-1]
+    ahead = runs[:, 3] > runs[:, 4]
+    left, right = np.where(ahead[:, None], begin, end), np.where(ahead[:, None], end, begin)
+    bottom_m, reach_m = np.sort(runs[:, 3:], axis=1).T
+    xy = np.stack([left, right, right, left], axis=1)
+    z = np.stack([bottom_m, bottom_m, reach_m, reach_m], axis=1)
+    return np.concatenate([xy, z[:, :, None]], axis=2)
 
 
 def _runs(near_m: FloatArray, far_m: FloatArray) -> FloatArray:
@@ -84,37 +102,6 @@ def _runs(near_m: FloatArray, far_m: FloatArray) -> FloatArray:
         runs = np.column_stack([np.full(len(starts), col), starts, ends, pair[starts]])
         found.append(runs[is_face])
     return np.concatenate(found)
-
-
-def _upright(
-    begin: FloatArray, end: FloatArray, near_m: FloatArray, far_m: FloatArray
-) -> FloatArray:
-    """Faces between points (n, 2) that look to where it is lower: ahead if near is higher."""
-    low, high = np.minimum(near_m, far_m)[:, None], np.maximum(near_m, far_m)[:, None]
-    ahead = (near_m > far_m)[:, None]
-    left, right = np.where(ahead, begin, end), np.where(ahead, end, begin)
-    return np.stack(
-        [
-            np.hstack([left, low]),
-            np.hstack([right, low]),
-            np.hstack([right, high]),
-            np.hstack([left, high]),
-        ],
-        axis=1,
-    )
-
-
-FLOOR_RGB = (205, 208, 212)
-LINE_RGB = (178, 182, 188)
-WALL_RGB = (150, 134, 114)
-UNKNOWN_RGB = (150, 153, 158)
-HIGHEST_RGB = (214, 190, 152)
-_FLOOR_THICKNESS_M = 0.02
-# So deep that the colour does not shine through the floor far from the camera.
-_SLAB_DEPTH_M = 0.3
-_UNKNOWN_HEIGHT_M = 0.02
-_LINES_HEIGHT_M = 0.001
-_SHADES = 24
 
 
 def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
@@ -185,12 +172,8 @@ def _add_boxes(
     height_m: float,
     rgb: tuple[int, int, int],
 ) -> None:
-    """Boxes (n, 5) of `maps.terraces` that rise so much above their height, as one mesh.
-
-    The node stays away where there are none.
-    """
+    """Boxes (n, 5) of `maps.terraces` that rise so much above their height, as one mesh."""
     if len(boxes) == 0:
-        scene.remove_by_name(name)
         return
     vertices, faces = solid(boxes, base_m=lowest_m, rise_m=height_m, cell_m=grid.resolution_m)
     scene.add_mesh_simple(
@@ -201,3 +184,15 @@ def _add_boxes(
 def turned(yaw_rad: float) -> tuple[float, float, float, float]:
     """The quaternion w, x, y, z of a turn about the vertical."""
     return math.cos(yaw_rad / 2), 0.0, 0.0, math.sin(yaw_rad / 2)
+
+
+def on_floor(
+    origin: Sequence[float] | np.ndarray,
+    direction: Sequence[float] | np.ndarray,
+    height_m: float = 0.0,
+) -> tuple[float, float] | None:
+    """Where a ray meets level ground of this height; None if it never does."""
+    if direction[2] >= -1e-9:
+        return None
+    along = (height_m - origin[2]) / direction[2]
+    return float(origin[0] + along * direction[0]), float(origin[1] + along * direction[1])

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from app.pictures.canvas import GOAL, LEFT, RIGHT
-from app.viewer.map_scene import FLOOR_RGB, turned
+from app.viewer.map_scene import FLOOR_RGB, quad_faces, turned
 from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 from planner.plan import Pose
@@ -123,12 +123,10 @@ class _Sheet:
 
     def _with_room_for(self, count: int) -> viser.MeshHandle:
         self._room = max(_ROOM, 2 * count)
-        first = 4 * np.arange(self._room)[:, None, None]
-        faces = (first + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
         return self._scene.add_mesh_simple(
             self._name,
             np.zeros((4 * self._room, 3), np.float32),
-            faces.astype(np.uint32),
+            quad_faces(self._room).astype(np.uint32),
             color=self._rgb,
             side="double",
             cast_shadow=False,

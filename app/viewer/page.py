@@ -15,8 +15,7 @@ from app.output import as_bad_input
 from app.viewer.camera import Cameras
 from app.viewer.map_scene import add_floor
 from app.viewer.markers import Footprints, PoseMarkers
-from app.viewer.obstacle_editor import ObstacleEditor
-from app.viewer.obstacles import Obstacle
+from app.viewer.obstacles import Obstacle, ObstacleEditor
 from app.viewer.panel import Actions, Panel
 from app.viewer.pointer import (
     FLOOR,
@@ -73,10 +72,11 @@ class Page:
         self._drawing = threading.Lock()
         scene, grid, robot = server.scene, session.grid, session.robot
         self._pointer = FloorPointer(
-            self._pointed,
+            add_floor(scene, grid),
             surface_of(grid),
+            on_pose=self._pointed,
             meets_robot=self._meets_robot,
-            on_drag=self._dragged,
+            on_drag=self._hold_camera,
         )
         self._pose_markers = PoseMarkers(scene, self._pointer.height_m)
         self.obstacle_editor = ObstacleEditor(
@@ -86,9 +86,8 @@ class Page:
             is_refused=self._why_no_box,
             on_refused=self._say,
             on_click=self._pointer.clicked,
-            on_drag=self._dragged,
+            on_drag=self._hold_camera,
         )
-        self._pointer.watch(add_floor(scene, grid))
         self._footprints = Footprints(scene, grid, robot.step_model.foot)
         self._robot_scene = RobotScene(scene, robot_meshes_of(robot))
         actions = Actions(
@@ -207,7 +206,7 @@ class Page:
         self._pointer.see_boxes(obstacles)
         self.session.set_obstacles(obstacles)
 
-    def _dragged(self, client_id: int) -> None:
+    def _hold_camera(self, client_id: int) -> None:
         self._cameras.hold(client_id)
 
     def _why_no_box(self, obstacle: Obstacle) -> str:

@@ -12,14 +12,15 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
+from app.viewer.map_scene import on_floor
 from app.viewer.obstacles import Obstacle, cells_below
 from maps.grid import Cell, OccupancyGrid
 from maps.terraces import terraces_of
 from planner.plan import Pose
 from sim.scene import WALL_HEIGHT_M
 
-# What a ray from somebody's eye meets first: the floor, a wall, or one of the boxes.
-
+# A drag shorter than this does not say where to look.
+_SHORTEST_DRAG_M = 0.12
 # What a ray may meet; a box is told by its number.
 ROBOT, FLOOR, WALL = -3, -2, -1
 FloatArray = NDArray[np.float64]
@@ -138,10 +139,6 @@ def surface_of(grid: OccupancyGrid) -> Surface:
     return Surface(grid=grid, top_m=top_m, on=on)
 
 
-# A drag shorter than this does not say where to look.
-_SHORTEST_DRAG_M = 0.12
-
-
 class Tool(StrEnum):
     """What the pointer does on the floor."""
 
@@ -170,9 +167,10 @@ class FloorPointer:
 
     def __init__(
         self,
-        on_pose: Callable[[Pointed, int, bool], None],
+        floor: viser.BoxHandle,
         surface: Surface,
         *,
+        on_pose: Callable[[Pointed, int, bool], None],
         meets_robot: Callable[[ArrayLike, ArrayLike], tuple[float, SurfaceHit]],
         on_drag: Callable[[int], None] = lambda _client_id: None,
     ) -> None:
@@ -180,21 +178,15 @@ class FloorPointer:
         # What the drag of each page began on.
         self._begun: dict[int, SurfaceHit | None] = {}
         self._bare = self._surface = surface
-        self._floor: viser.BoxHandle | None = None
-        self._tool = Tool.GOAL
-        self._drags = False
-
-    def watch(self, floor: viser.BoxHandle) -> None:
-        """Listens to this floor from now on."""
         self._floor, self._drags = floor, False
         floor.on_click(self.clicked)
-        self.use(self._tool)
+        self.use(Tool.GOAL)
 
     def use(self, tool: Tool) -> None:
         """Chooses what a drag is for."""
         self._tool = tool
         wanted = tool in (Tool.GOAL, Tool.ROBOT)
-        if self._floor is None or wanted == self._drags:
+        if wanted == self._drags:
             return
         self._drags = wanted
         if wanted:
@@ -240,18 +232,6 @@ class FloorPointer:
         if met is None:
             return robot if math.isfinite(away_m) else None
         return robot if away_m < math.dist(np.ravel(origin), (met.x_m, met.y_m, met.z_m)) else met
-
-
-def on_floor(
-    origin: Sequence[float] | np.ndarray,
-    direction: Sequence[float] | np.ndarray,
-    height_m: float = 0.0,
-) -> tuple[float, float] | None:
-    """Where a ray meets level ground of this height; None if it never does."""
-    if direction[2] >= -1e-9:
-        return None
-    along = (height_m - origin[2]) / direction[2]
-    return float(origin[0] + along * direction[0]), float(origin[1] + along * direction[1])
 
 
 def toward(place: tuple[float, float], point: tuple[float, float]) -> Pointed:
