@@ -386,7 +386,9 @@ def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
         return with_tracking_limits(robot, policy)
 
 
-def load_walker(name: str, policy_file: Path | None, pace: str = "normal") -> tuple[Robot, Policy]:
+def load_walker(
+    name: str, policy_file: Path | None = None, pace: str = "normal"
+) -> tuple[Robot, Policy]:
     """The robot as `find_robot_with_limits` gives it, and the policy that walks it at that pace.
 
     Raises:

@@ -26,8 +26,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from app.options import MapOptions, read_grid
-from app.viewer.page import Page, load_robot, open_page, painted_in_background
+from app.options import MapOptions, load_walker, read_grid
+from app.viewer.page import Page, open_page, painted_in_background
 from benchmarks.page_watcher import Watcher
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
@@ -52,7 +52,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, help="walk in real time for so long")
     options = parser.parse_args()
     grid = read_grid(MapOptions(map=options.map))
-    robot, policy = load_robot("jvrc1")
+    robot, policy = load_walker("jvrc1")
     with ExitStack() as stack:
         page = stack.enter_context(open_page(grid, robot, policy, title="memory"))
         if options.minutes is None:

@@ -63,7 +63,7 @@ def seen(page: Page, name: str) -> Any:
 
 
 def fields(page: Page) -> Any:
-    return page._panel._goal.pose
+    return page.panel.goal.pose
 
 
 def test_fields_and_arrow_follow_a_click_that_begins_one_walk(page, watcher):
@@ -97,7 +97,7 @@ def test_a_refused_goal_leaves_the_one_that_holds(page, watcher):
     assert seen(page, "/goal") == pytest.approx((1.0, 0.5))
     assert seen(page, "/requested") is None
     assert seen(page, "/alternative")[0] < 3.0
-    page._panel._accept()
+    page.panel.take_offer()
     until(lambda: seen(page, "/goal")[0] > 1.5)
     until(lambda: (seen(page, "/refused"), seen(page, "/alternative")) == (None, None))
     until(lambda: fields(page)[:2] == pytest.approx(seen(page, "/goal"), abs=1e-3))
@@ -111,13 +111,13 @@ def test_a_stopped_robot_has_no_goal(page, watcher):
 
 
 def test_the_start_that_is_refused_is_not_shown_as_the_start(page, watcher):
-    page._panel.use_tool(Tool.ROBOT)
+    page.panel.use_tool(Tool.ROBOT)
     look_down(watcher, 1.0, 1.0)
-    until(lambda: page._panel._start.pose[:2] == pytest.approx((1.0, 1.0)))
+    until(lambda: page.panel.start.pose[:2] == pytest.approx((1.0, 1.0)))
     look_down(watcher, 3.1, 1.0)
     until(lambda: seen(page, "/refused") == pytest.approx((3.1, 1.0)))
     time.sleep(0.2)
-    assert page._panel._start.pose[:2] == pytest.approx((1.0, 1.0))
+    assert page.panel.start.pose[:2] == pytest.approx((1.0, 1.0))
 
 
 def test_the_robot_is_no_glass(page, watcher):
@@ -127,9 +127,9 @@ def test_the_robot_is_no_glass(page, watcher):
     until(lambda: page.session.snapshot.goal or page.session.snapshot.requested)
     now = page.session.snapshot
     assert (now.goal or now.requested)[:2] == pytest.approx(stood, abs=0.05)
-    page._panel.use_tool(Tool.BOX)
+    page.panel.use_tool(Tool.BOX)
     watcher.click("/map/slab", (-1.6, 0.0, 1.6), (1.6, 0.0, -0.8))
-    until(lambda: "that is the robot" in page._panel._notice.content)
+    until(lambda: "that is the robot" in page.panel.notice.content)
 
 
 def test_how_far_a_ray_comes_before_it_meets_the_robot():
@@ -147,12 +147,12 @@ def test_boxes_are_moved_with_their_own_tool_alone(page, watcher):
     page.obstacle_editor.add((1.0, -1.0), (0.4, 0.4))
     box: Any = page.server.scene._handle_from_node_name["/map/box_0"]
     assert not box._impl.drag_cb
-    page._panel.use_tool(Tool.BOX)
+    page.panel.use_tool(Tool.BOX)
     assert len(box._impl.drag_cb) == 1
     page.obstacle_editor.add((1.0, -2.0), (0.4, 0.4))
     other: Any = page.server.scene._handle_from_node_name["/map/box_1"]
     assert len(other._impl.drag_cb) == 1
-    page._panel.use_tool(Tool.GOAL)
+    page.panel.use_tool(Tool.GOAL)
     assert not box._impl.drag_cb
     assert not other._impl.drag_cb
     # It can be clicked with each of them.

@@ -96,7 +96,7 @@ def test_the_camera_follows_on_the_page_that_wants_it_alone(served):
     wait_until(lambda: follows.heard[kind] and stays.heard[kind], "both look at the map")
     time.sleep(0.2)
     before = stays.heard[kind]
-    served.page._cameras.toggle(min(served.server.get_clients()))
+    served.page.cameras.toggle(min(served.server.get_clients()))
     served.session.go_to((2.0, 0.0, 0.0))
     wait_until(lambda: served.session.snapshot.status == "reached", "the robot is there")
     first, second = follows.heard[kind], stays.heard[kind]

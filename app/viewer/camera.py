@@ -232,10 +232,9 @@ class Cameras:
         if visitor is not None and visitor.follower is not None:
             visitor.follower.hold(time.monotonic())
 
-    def toggle(self, client_id: int) -> None:
+    def toggle(self, client_id: int | None) -> None:
         """Follows on this page, or does so no longer."""
-        visitor = self._visitors.get(client_id)
-        if visitor is not None:
+        if client_id is not None and (visitor := self._visitors.get(client_id)) is not None:
             visitor.switch.value = not visitor.switch.value
 
     def _came(self, client: viser.ClientHandle) -> None:

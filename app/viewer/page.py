@@ -10,13 +10,12 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from app.options import find_robot_with_limits
-from app.output import as_bad_input
+from app.options import load_walker
 from app.viewer.camera import Cameras
 from app.viewer.map_scene import add_floor
 from app.viewer.markers import Footprints, PoseMarkers
 from app.viewer.obstacles import Obstacle, ObstacleEditor
-from app.viewer.panel import Actions, Panel
+from app.viewer.panel import Panel
 from app.viewer.pointer import (
     FLOOR,
     ROBOT,
@@ -32,7 +31,7 @@ from app.viewer.robot_scene import RobotScene, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session
 from app.viewer.snapshot import Notice, Snapshot
-from controller.policy import POLICY_FOLDER, Policy, PolicyError, load_policy
+from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from sim.robot import Robot
@@ -83,37 +82,30 @@ class Page:
             scene,
             grid,
             on_change=self._boxes_changed,
-            is_refused=self._why_no_box,
+            is_refused=self._why_refused,
             on_refused=self._say,
             on_click=self._pointer.clicked,
             on_drag=self._hold_camera,
         )
         self._footprints = Footprints(scene, grid, robot.step_model.foot)
         self._robot_scene = RobotScene(scene, robot_meshes_of(robot))
-        actions = Actions(
-            go=session.go_to,
-            put=session.reset,
-            stop=session.stop,
-            reset=session.reset,
-            use_tool=self._use,
-            set_speed=lambda factor: setattr(session.clock, "factor", factor),
-            set_options=session.set_options,
+        self.panel = Panel(
+            server.gui,
+            session,
+            self.obstacle_editor,
+            robots=robots,
             set_robot=self._set_robot,
-            toggle_follow=lambda client_id: self._cameras.toggle(client_id),
-            clear_boxes=self.obstacle_editor.clear,
-            remove_box=self.obstacle_editor.remove_last,
+            use_tool=self._use,
+            toggle_follow=lambda client_id: self.cameras.toggle(client_id),
         )
-        self._panel = Panel(
-            server.gui, actions, robots=robots, robot=robot.name, options=session.options
-        )
-        self._cameras = Cameras(server, grid, order=self._panel.switch_order)
+        self.cameras = Cameras(server, grid, order=self.panel.switch_order)
         # Whoever goes in the middle of a drag points at nothing any more.
         server.on_client_disconnect(lambda _client: self._pose_markers.point(None))
 
     @property
     def visitors(self) -> int:
         """How many have the page open."""
-        return self._cameras.count
+        return self.cameras.count
 
     def wait_for_visitor(self) -> None:
         """Shows the scene as it is until somebody has opened the page."""
@@ -137,14 +129,14 @@ class Page:
             self._show_steps(snapshot)
             self._shown = snapshot
         place = snapshot.qpos[:2]
-        self._cameras.show(np.array([*place, float(self.session.grid.height_m(place))]))
+        self.cameras.show(np.array([*place, float(self.session.grid.height_m(place))]))
         now_s = time.monotonic()
         if now_s - self._text_s >= self.text_every_s:
             self._text_s = now_s
-            self._panel.show(snapshot, self._own_notice(now_s))
+            self.panel.show(snapshot, self._own_notice(now_s))
         if now_s - self._plot_s >= self.plot_every_s:
             self._plot_s = now_s
-            self._panel.plots.show_forces(self.session.history.forces())
+            self.panel.plots.show_forces(self.session.history.forces())
 
     def _show_steps(self, new: Snapshot) -> None:
         old, footprints = self._shown, self._footprints
@@ -157,7 +149,7 @@ class Page:
         if old is None or new.placed_side is not old.placed_side:
             footprints.placed(new.placed_side, new.placed_world)
             footprints.path(new.path_world)
-            self._panel.plots.show_errors(new.placed_side, new.foot_error_m)
+            self.panel.plots.show_errors(new.placed_side, new.foot_error_m)
 
     def _own_notice(self, now_s: float) -> Notice | None:
         if self._notice is not None and now_s - self._notice[0] > _NOTICE_FOR_S:
@@ -192,7 +184,7 @@ class Page:
         elif on == WALL:
             self._say("a wall stands there: boxes stand on the floor")
         elif on == FLOOR:
-            self.obstacle_editor.add(pointed[:2], self._panel.box_size_m)
+            self.obstacle_editor.add(pointed[:2], self.panel.box_size_m)
         else:
             self.obstacle_editor.remove(on)
 
@@ -207,9 +199,9 @@ class Page:
         self.session.set_obstacles(obstacles)
 
     def _hold_camera(self, client_id: int) -> None:
-        self._cameras.hold(client_id)
+        self.cameras.hold(client_id)
 
-    def _why_no_box(self, obstacle: Obstacle) -> str:
+    def _why_refused(self, obstacle: Obstacle) -> str:
         return "no box can stand on the robot" if self.session.is_on_robot(obstacle) else ""
 
     def _set_robot(self, name: str) -> None:
@@ -232,20 +224,6 @@ class Page:
             self._shown = None
 
 
-# Puts a page together: server, robot and planner, and what is shown of them.
-
-
-def load_robot(name: str) -> tuple[Robot, Policy]:
-    """A robot and its own policy.
-
-    Raises:
-        InputError: There is no such robot, or nobody has taught it to walk.
-    """
-    robot = find_robot_with_limits(name)
-    with as_bad_input(PolicyError):
-        return robot, load_policy(robot, POLICY_FOLDER / f"{name}.safetensors")
-
-
 @contextlib.contextmanager
 def open_page(
     grid: OccupancyGrid,
@@ -259,7 +237,7 @@ def open_page(
     goal: Sequence[float] | None = None,
     options: PlannerOptions | None = None,
     seed: int = 0,
-    load: Callable[[str], tuple[Robot, Policy]] = load_robot,
+    load: Callable[[str], tuple[Robot, Policy]] = load_walker,
 ) -> Iterator[Page]:
     """A page about one robot on one map; on leaving, robot, planner and server end.
 

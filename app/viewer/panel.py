@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,80 +13,13 @@ import viser
 from viser import uplot
 
 from app.viewer.markers import SIDE_RGB
+from app.viewer.obstacles import ObstacleEditor
 from app.viewer.pointer import Tool
+from app.viewer.session import Session
 from app.viewer.snapshot import Notice, Snapshot
-from planner.options import PLANNERS, PlannerOptions
+from planner.options import PLANNERS
 from planner.plan import Pose
 from planner.robot_model import Side
-
-# Plots of the walk: how far each foot came down from its step, and what the feet carry.
-
-_HEIGHT_PX = 170
-# The latest steps are what one wants to see.
-_STEPS_SHOWN = 60
-_GREY = "#8a8f98"
-
-
-class Plots:
-    """Two plots in the container that is open when it is made."""
-
-    def __init__(self, gui: viser.GuiApi) -> None:
-        nothing = np.zeros(1)
-        self._latest_s = 0.0
-        left, right = (_css(SIDE_RGB[side]) for side in Side)
-        self._errors = gui.add_uplot(
-            (nothing, nothing, nothing),
-            (
-                uplot.Series(label="step"),
-                uplot.Series(label="left cm", stroke=left, width=1, points={"show": True}),
-                uplot.Series(label="right cm", stroke=right, width=1, points={"show": True}),
-            ),
-            title="Foot from its step, cm",
-            scales={"x": {"time": False}},
-            axes=_axes(),
-            height=_HEIGHT_PX,
-        )
-        self._forces = gui.add_uplot(
-            (nothing, nothing, nothing),
-            (
-                uplot.Series(label="s"),
-                uplot.Series(label="left N", stroke=left, width=2),
-                uplot.Series(label="right N", stroke=right, width=2),
-            ),
-            title="Ground force, N",
-            scales={"x": {"time": False}},
-            axes=_axes(),
-            height=_HEIGHT_PX,
-        )
-
-    def show_errors(self, side: np.ndarray, error_m: np.ndarray) -> None:
-        """Errors (N,) of the steps of each side, in the order of the walk."""
-        if len(side) == 0:
-            side, error_m = np.array([Side.LEFT]), np.zeros(1)
-        number = np.arange(1, len(side) + 1)
-        shown = slice(-_STEPS_SHOWN, None)
-        # A foot's line stays where it is while the other one steps.
-        latest = [np.maximum.accumulate(np.where(side == foot, number, 0)) for foot in Side]
-        left, right = (100 * np.append(0.0, error_m)[steps][shown] for steps in latest)
-        self._errors.data = (number[shown].astype(float), left, right)
-
-    def show_forces(self, forces: np.ndarray) -> None:
-        """Time in s, left and right force in N: (3, T); nothing is sent where time stands still."""
-        if forces[0, -1] == self._latest_s:
-            return
-        self._latest_s = float(forces[0, -1])
-        self._forces.data = (forces[0], forces[1], forces[2])
-
-
-def _axes() -> tuple[uplot.Axis, uplot.Axis]:
-    """A grey that can be read on white and on black."""
-    axis = uplot.Axis(stroke=_GREY, grid={"stroke": _GREY + "40"}, ticks={"stroke": _GREY})
-    return axis, axis
-
-
-def _css(rgb: tuple[int, int, int]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*rgb)
-
 
 SPEEDS = {"Pause": 0.0, "Slow": 0.25, "1x": 1.0, "Fastest": math.inf}
 # Stands before the name on the button that is pressed: viser's buttons all look alike.
@@ -99,63 +32,74 @@ _HINTS = {
     Tool.ROBOT: "**Robot**: click or drag where the robot is to be put. The walk begins anew.",
     Tool.LOOK: "**Look**: drag to turn the view, right button to shift it, wheel to come nearer.",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Actions:
-    """What the panel's controls do."""
-
-    go: Callable[[Pose], None]
-    put: Callable[[Pose], None]
-    stop: Callable[[], None]
-    reset: Callable[[], None]
-    use_tool: Callable[[Tool], None]
-    set_speed: Callable[[float], None]
-    toggle_follow: Callable[[int], None]
-    set_options: Callable[[PlannerOptions], None]
-    set_robot: Callable[[str], None]
-    clear_boxes: Callable[[], None]
-    remove_box: Callable[[], None]
+_TOOL_KEYS: dict[Tool, Any] = {Tool.GOAL: "G", Tool.BOX: "B", Tool.ROBOT: "R", Tool.LOOK: "L"}
+_SPEED_KEYS: dict[str, Any] = {"Pause": "P", "Slow": "2", "1x": "1", "Fastest": "F"}
+_PLOT_HEIGHT_PX = 170
+# The latest steps are what one wants to see.
+_STEPS_SHOWN = 60
+# Can be read on white and on black.
+_GREY = "#8a8f98"
 
 
 class Panel:
-    """Controls of all pages that watch: what one does, the others see."""
+    """Controls of all pages that watch: what one does, the others see.
+
+    `goal` and `start` are the poses that can be typed, `notice` is what went wrong, in words.
+    `switch_order` is where a page's own switches stand: between walk and goal.
+    """
 
     def __init__(
         self,
         gui: viser.GuiApi,
-        actions: Actions,
+        session: Session,
+        obstacle_editor: ObstacleEditor,
         *,
         robots: tuple[str, ...],
-        robot: str,
-        options: PlannerOptions,
+        set_robot: Callable[[str], None],
+        use_tool: Callable[[Tool], None],
+        toggle_follow: Callable[[int | None], None],
     ) -> None:
-        self._gui, self._actions, self._options = gui, actions, options
+        self._gui, self._session, self._use_tool = gui, session, use_tool
         self._heard: Notice | None = None
         self._text = ""
         self._status = gui.add_markdown("")
-        self._notice = gui.add_markdown("", visible=False)
+        self.notice = gui.add_markdown("", visible=False)
         self._take_offer = gui.add_button(_GO_THERE, color="orange", visible=False)
-        self._take_offer.on_click(lambda _event: self._accept())
-        self._add_tools()
-        self._add_walk()
-        with gui.add_folder("Goal") as goal:
-            self._goal = self._add_pose("", "Go", actions.go)
-        self._switch_order = goal.order - 0.5
+        self._take_offer.on_click(lambda _event: self.take_offer())
+        self._tools = gui.add_button_group("Pointer", marked(Tool, Tool.GOAL))
+        self._tools.on_click(lambda event: self.use_tool(Tool(unmarked(event.target.value))))
+        self._hint = gui.add_markdown(_HINTS[Tool.GOAL])
+        self._speeds = gui.add_button_group("Speed", marked(SPEEDS, "1x"))
+        self._speeds.on_click(lambda event: self.set_speed(unmarked(event.target.value)))
+        walk = {"Stop": session.stop, "Reset": session.reset}
+        buttons = gui.add_button_group("Walk", list(walk))
+        buttons.on_click(lambda event: walk[event.target.value]())
+        with gui.add_folder("Goal") as folder:
+            self.goal = PoseFields(gui, "", "Go", session.go_to)
+        self.switch_order = folder.order - 0.5
         with gui.add_folder("Start", expand_by_default=False):
-            self._start = self._add_pose("start ", "Put the robot there", actions.put)
+            self.start = PoseFields(gui, "start ", "Put the robot there", session.reset)
         with gui.add_folder("Boxes", expand_by_default=False):
-            self._add_boxes()
+            self._box_x, self._box_y = (
+                gui.add_slider(f"size in {axis}, m", 0.1, 2.0, 0.05, 0.4) for axis in "xy"
+            )
+            clear = gui.add_button("Remove all boxes")
+            clear.on_click(lambda _event: obstacle_editor.clear())
         with gui.add_folder("Robot and planner", expand_by_default=False):
-            self._add_choices(robots, robot)
+            robot = gui.add_dropdown("Robot", robots, initial_value=session.robot.name)
+            robot.on_update(lambda _event: set_robot(robot.value))
+            self._add_planner_options()
         with gui.add_folder("Plots"):
             self.plots = Plots(gui)
-        self._add_keys()
-
-    @property
-    def switch_order(self) -> float:
-        """Where a page's own switches stand among the controls: between walk and goal."""
-        return self._switch_order
+        for tool, key in _TOOL_KEYS.items():
+            self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
+        for name, key in _SPEED_KEYS.items():
+            self._add_key(f"Speed: {name}", key, partial(self.set_speed, name))
+        follow = gui.add_command("Camera follows, or does not", hotkey="C")
+        follow.on_trigger(lambda event: toggle_follow(event.client_id))
+        self._add_key("Stop", "X", session.stop)
+        self._add_key("Reset", "0", session.reset)
+        self._add_key("Remove the last box", "backspace", obstacle_editor.remove_last)
 
     @property
     def box_size_m(self) -> tuple[float, float]:
@@ -180,113 +124,71 @@ class Panel:
         """
         refused = None if news is None else news.refused
         is_start = news is not None and news.puts_robot
-        self._start.show(snapshot.start, anew=refused is not None and is_start)
+        self.start.show(snapshot.start, anew=refused is not None and is_start)
         goal = snapshot.requested or snapshot.goal or (None if is_start else refused)
-        self._goal.show(goal, anew=refused is not None and not is_start)
+        self.goal.show(goal, anew=refused is not None and not is_start)
 
     def _show_notice(self, notice: Notice | None) -> None:
         self._heard = notice
-        self._notice.content = "" if notice is None else f"⚠️ {notice.text}"
-        self._notice.visible = notice is not None
+        self.notice.content = "" if notice is None else f"⚠️ {notice.text}"
+        self.notice.visible = notice is not None
         self._take_offer.visible = notice is not None and notice.alternative is not None
         if notice is not None and notice.alternative is not None:
             self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
 
-    def _accept(self) -> None:
+    def take_offer(self) -> None:
+        """Goes to the pose that would do instead of a refused one, or puts the robot there."""
         notice = self._heard
-        if notice is None or notice.alternative is None:
-            return
-        if notice.puts_robot:
-            self._actions.put(notice.alternative)
-        else:
-            self._actions.go(notice.alternative)
-
-    def _add_tools(self) -> None:
-        self._tools = self._gui.add_button_group("Pointer", marked(Tool, Tool.GOAL))
-        self._tools.on_click(lambda event: self.use_tool(Tool(unmarked(event.target.value))))
-        self._hint = self._gui.add_markdown(_HINTS[Tool.GOAL])
+        if notice is not None and notice.alternative is not None:
+            act = self._session.reset if notice.puts_robot else self._session.go_to
+            act(notice.alternative)
 
     def use_tool(self, tool: Tool) -> None:
         """Chooses what the pointer does."""
         self._hint.content = _HINTS[tool]
         self._tools.options = marked(Tool, tool)
-        self._actions.use_tool(tool)
+        self._use_tool(tool)
 
     def set_speed(self, name: str) -> None:
         """Chooses one of SPEEDS."""
         self._speeds.options = marked(SPEEDS, name)
-        self._actions.set_speed(SPEEDS[name])
+        self._session.clock.factor = SPEEDS[name]
 
-    def _add_walk(self) -> None:
-        self._speeds = self._gui.add_button_group("Speed", marked(SPEEDS, "1x"))
-        self._speeds.on_click(lambda event: self.set_speed(unmarked(event.target.value)))
-        walk = self._gui.add_button_group("Walk", ["Stop", "Reset"])
-        walk.on_click(
-            lambda event: (
-                self._actions.stop() if event.target.value == "Stop" else self._actions.reset()
-            )
-        )
-
-    def _add_pose(self, prefix: str, word: str, act: Callable[[Pose], None]) -> _PoseFields:
-        fields = _PoseFields(self._gui, prefix)
-        self._gui.add_button(word).on_click(lambda _event: act(fields.pose))
-        return fields
-
-    def _add_boxes(self) -> None:
-        self._box_x = self._gui.add_slider("size in x, m", 0.1, 2.0, 0.05, 0.4)
-        self._box_y = self._gui.add_slider("size in y, m", 0.1, 2.0, 0.05, 0.4)
-        clear = self._gui.add_button("Remove all boxes")
-        clear.on_click(lambda _event: self._actions.clear_boxes())
-
-    def _add_choices(self, robots: tuple[str, ...], robot: str) -> None:
-        chosen = self._gui.add_dropdown("Robot", robots, initial_value=robot)
-        chosen.on_update(lambda _event: self._actions.set_robot(chosen.value))
-        planner = self._gui.add_dropdown("Planner", PLANNERS, initial_value=self._options.name)
+    def _add_planner_options(self) -> None:
+        options = self._session.options
+        planner = self._gui.add_dropdown("Planner", PLANNERS, initial_value=options.name)
         epsilon = self._gui.add_slider(
             "epsilon",
             1.0,
             10.0,
             0.5,
-            min(10.0, self._options.epsilon),
+            min(10.0, options.epsilon),
             hint="The heuristic's weight in the first search: large is quick, 1 is best at once.",
         )
 
         def changed(_event: Any) -> None:
-            self._options = replace(self._options, name=planner.value, epsilon=epsilon.value)
-            self._actions.set_options(self._options)
+            self._session.set_options(replace(options, name=planner.value, epsilon=epsilon.value))
 
         planner.on_update(changed)
         epsilon.on_update(changed)
-
-    def _add_keys(self) -> None:
-        for tool, key in ((Tool.GOAL, "G"), (Tool.BOX, "B"), (Tool.ROBOT, "R"), (Tool.LOOK, "L")):
-            self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
-        for name, key in (("Pause", "P"), ("Slow", "2"), ("1x", "1"), ("Fastest", "F")):
-            self._add_key(f"Speed: {name}", key, partial(self.set_speed, name))
-        follow = self._gui.add_command("Camera follows, or does not", hotkey="C")
-        follow.on_trigger(lambda event: self._toggle_follow(event.client_id))
-        self._add_key("Stop", "X", self._actions.stop)
-        self._add_key("Reset", "0", self._actions.reset)
-        self._add_key("Remove the last box", "backspace", self._actions.remove_box)
-
-    def _toggle_follow(self, client_id: int | None) -> None:
-        if client_id is not None:
-            self._actions.toggle_follow(client_id)
 
     def _add_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
         command = self._gui.add_command(label, hotkey=key)
         command.on_trigger(lambda _event: action())
 
 
-class _PoseFields:
-    """A pose as three numbers that can be typed, the heading in degrees."""
+class PoseFields:
+    """A pose as three numbers that can be typed, the heading in degrees, and a button for it."""
 
-    def __init__(self, gui: viser.GuiApi, prefix: str) -> None:
+    def __init__(
+        self, gui: viser.GuiApi, prefix: str, button: str, act: Callable[[Pose], None]
+    ) -> None:
         # Any: viser's types say that the value of a number cannot be set.
         self._x: Any = gui.add_number(f"{prefix}x, m", 0.0, step=0.05)
         self._y: Any = gui.add_number(f"{prefix}y, m", 0.0, step=0.05)
         self._degrees: Any = gui.add_number(f"{prefix}heading, °", 0.0, step=5.0)
         self._shown: Pose | None = None
+        gui.add_button(button).on_click(lambda _event: act(self.pose))
 
     @property
     def pose(self) -> Pose:
@@ -301,6 +203,58 @@ class _PoseFields:
         self._shown = pose
         self._x.value, self._y.value = pose[0], pose[1]
         self._degrees.value = round(math.degrees(pose[2]), 1)
+
+
+class Plots:
+    """How far each foot came down from its step, and what the feet carry, as two plots."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._latest_s = 0.0
+        points = uplot.Series(width=1, points={"show": True})
+        self._errors = _add_plot(gui, "Foot from its step, cm", "step", points)
+        self._forces = _add_plot(gui, "Ground force, N", "s", uplot.Series(width=2))
+
+    def show_errors(self, side: np.ndarray, error_m: np.ndarray) -> None:
+        """Errors (N,) of the steps of each side, in the order of the walk."""
+        if len(side) == 0:
+            side, error_m = np.array([Side.LEFT]), np.zeros(1)
+        number = np.arange(1, len(side) + 1)
+        shown = slice(-_STEPS_SHOWN, None)
+        # A foot's line stays where it is while the other one steps.
+        latest = [np.maximum.accumulate(np.where(side == foot, number, 0)) for foot in Side]
+        left, right = (100 * np.append(0.0, error_m)[steps][shown] for steps in latest)
+        self._errors.data = (number[shown].astype(float), left, right)
+
+    def show_forces(self, forces: np.ndarray) -> None:
+        """Time in s, left and right force in N: (3, T); nothing is sent where time stands still."""
+        if forces[0, -1] == self._latest_s:
+            return
+        self._latest_s = float(forces[0, -1])
+        self._forces.data = (forces[0], forces[1], forces[2])
+
+
+def _add_plot(
+    gui: viser.GuiApi, title: str, across: str, line: uplot.Series
+) -> viser.GuiUplotHandle:
+    """A plot with such a line for each foot; the title ends with the unit."""
+    unit = title.rpartition(" ")[2]
+    axis = uplot.Axis(stroke=_GREY, grid={"stroke": _GREY + "40"}, ticks={"stroke": _GREY})
+    feet: list[uplot.Series] = [
+        {
+            **line,
+            "label": f"{side.name.lower()} {unit}",
+            "stroke": "#{:02x}{:02x}{:02x}".format(*SIDE_RGB[side]),
+        }
+        for side in Side
+    ]
+    return gui.add_uplot(
+        (np.zeros(1),) * 3,
+        (uplot.Series(label=across), *feet),
+        title=title,
+        scales={"x": {"time": False}},
+        axes=(axis, axis),
+        height=_PLOT_HEIGHT_PX,
+    )
 
 
 def marked(names: Iterable[str], chosen: str) -> tuple[str, ...]:
