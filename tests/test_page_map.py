@@ -18,6 +18,7 @@ from app.viewer.pointer import FLOOR, WALL, Surface, SurfaceHit, surface_of
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map
+from planner.plan import FootstepPlan
 from planner.robot_model import FootShape, Side
 from sim.scene import WALL_HEIGHT_M
 
@@ -165,10 +166,15 @@ async def nothing(_event: object) -> None:
     """What a click does here."""
 
 
+def node(scene: viser.SceneApi, name: str) -> Any:
+    found = scene.get_handle_by_name(name)
+    assert found is not None, name
+    return found
+
+
 def shown(scene: viser.SceneApi, name: str) -> np.ndarray:
     """Vertices (n, 3) of a mesh of the scene that are not put aside."""
-    handle: Any = scene._handle_from_node_name[name]
-    vertices = np.array(handle.vertices)
+    vertices = np.array(node(scene, name).vertices)
     return vertices[vertices[:, 2] > -0.5]
 
 
@@ -176,8 +182,8 @@ def test_the_ground_is_drawn_as_high_as_it_is(scene):
     add_floor(scene, STAIRS)
     tops = [
         shown(scene, name)[:, 2].max()
-        for name in scene._handle_from_node_name
-        if name.startswith("/map/ground/")
+        for name in (f"/map/ground/{shade}" for shade in range(100))
+        if scene.get_handle_by_name(name)
     ]
     assert sorted(tops) == pytest.approx([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     walls = shown(scene, "/map/walls")
@@ -188,8 +194,17 @@ def test_the_ground_is_drawn_as_high_as_it_is(scene):
 def test_footprints_path_and_goal_lie_on_the_ground(scene):
     footprints = Footprints(scene, STAIRS, FootShape(length_m=0.2, width_m=0.1))
     poses = np.array([[2.15, 0.1, 0.1, 0.0], [4.1, 0.1, 0.6, 0.3]])
-    footprints.plan(np.array([Side.LEFT, Side.LEFT]), poses)
-    soles = shown(scene, "/steps/planned_left")[:8]
+    plan = FootstepPlan(
+        start_feet_world=poses,
+        start=(0, 0, 0),
+        goal=(4, 0, 0),
+        side=np.array([Side.RIGHT, Side.LEFT, Side.LEFT, Side.LEFT], np.int8),
+        pose_world=np.concatenate([poses, poses]),
+    )
+    footprints.plan(plan)
+    assert len(shown(scene, "/steps/next_right")) == len(shown(scene, "/steps/next_left")) == 4
+    soles = shown(scene, "/steps/planned_left")
+    assert len(soles) == 8
     assert soles[:4, 2] == pytest.approx(0.1, abs=0.02)
     assert soles[4:, 2] == pytest.approx(0.6, abs=0.02)
     assert soles[:4, :2].mean(axis=0) == pytest.approx(poses[0, :2])
@@ -200,7 +215,7 @@ def test_footprints_path_and_goal_lie_on_the_ground(scene):
     marker = Marker(scene, "/goal", height_m=surface_of(STAIRS).height_m)
     for goal, ground_m in (((4.1, 0.0, 0.0), 0.6), ((0.0, 0.0, 1.0), 0.0)):
         marker.show(goal)
-        assert marker._arrow.position[2] == pytest.approx(ground_m, abs=0.05)
+        assert node(scene, "/goal").position[2] == pytest.approx(ground_m, abs=0.05)
 
 
 def test_boxes_stand_on_the_ground(scene):
@@ -215,8 +230,7 @@ def test_boxes_stand_on_the_ground(scene):
     )
     obstacle_editor.add((4.1, 0.0), (0.4, 0.4))
     assert len(boxes) == 1
-    drawn = scene._handle_from_node_name["/map/box_0"]
-    assert drawn.position[2] == pytest.approx(0.6 + WALL_HEIGHT_M / 2)
+    assert node(scene, "/map/box_0").position[2] == pytest.approx(0.6 + WALL_HEIGHT_M / 2)
 
 
 def mesh(boxes: list[list[float]], rise_m: float = 1.0) -> trimesh.Trimesh:

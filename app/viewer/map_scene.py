@@ -26,6 +26,7 @@ _UNKNOWN_HEIGHT_M = 0.02
 _LINES_HEIGHT_M = 0.001
 _SHADES = 24
 FloatArray = NDArray[np.float64]
+Rgb = tuple[int, int, int]
 
 
 class Mesh(NamedTuple):
@@ -155,12 +156,9 @@ def _add_ground(
     rise_m = boxes[:, 4] - lowest_m
     shades = np.ceil(_SHADES * rise_m / max(rise_m, default=1.0)).astype(int)
     for shade in range(1, _SHADES + 1):
-        red, green, blue = (
-            round(low + (high - low) * shade / _SHADES)
-            for low, high in zip(FLOOR_RGB, HIGHEST_RGB, strict=True)
-        )
+        rgb = blended(FLOOR_RGB, HIGHEST_RGB, shade / _SHADES)
         name = f"/map/ground/{shade}"
-        _add_boxes(scene, grid, name, boxes[shades == shade], lowest_m, 0.0, (red, green, blue))
+        _add_boxes(scene, grid, name, boxes[shades == shade], lowest_m, 0.0, rgb)
 
 
 def _add_boxes(
@@ -170,7 +168,7 @@ def _add_boxes(
     boxes: np.ndarray,
     lowest_m: float,
     height_m: float,
-    rgb: tuple[int, int, int],
+    rgb: Rgb,
 ) -> None:
     """Boxes (n, 5) of `maps.terraces` that rise so much above their height, as one mesh."""
     if len(boxes) == 0:
@@ -179,6 +177,14 @@ def _add_boxes(
     scene.add_mesh_simple(
         name, vertices.astype(np.float32), faces.astype(np.uint32), color=rgb, flat_shading=True
     )
+
+
+def blended(rgb: Rgb, other: Rgb, share: float) -> Rgb:
+    """A colour between two, with so large a share of the other one."""
+    red, green, blue = (
+        round(mine + share * (others - mine)) for mine, others in zip(rgb, other, strict=True)
+    )
+    return red, green, blue
 
 
 def turned(yaw_rad: float) -> tuple[float, float, float, float]:

@@ -1,4 +1,4 @@
-"""Footprints and the path of the body in a viser scene."""
+"""Footprints, the path of the body and arrows at goals in a viser scene."""
 
 from __future__ import annotations
 
@@ -8,16 +8,20 @@ import numpy as np
 import viser
 
 from app.pictures.canvas import GOAL, LEFT, RIGHT
-from app.viewer.map_scene import FLOOR_RGB, quad_faces, turned
+from app.viewer.map_scene import FLOOR_RGB, Rgb, blended, quad_faces, turned
 from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
-from planner.plan import Pose
+from planner.plan import FootstepPlan, Pose
 from planner.robot_model import FootShape, Side
 
-Rgb = tuple[int, int, int]
 # The pictures of plans have the same colours, written blue, green, red.
 SIDE_RGB: dict[Side, Rgb] = {Side.LEFT: LEFT[::-1], Side.RIGHT: RIGHT[::-1]}
+GOAL_RGB: Rgb = GOAL[::-1]
 PATH_RGB: Rgb = (112, 60, 150)
+_PALE_RGB = (240, 170, 160)
+_REFUSED_RGB = (105, 108, 115)
+# As the button that takes what is on offer.
+_ALTERNATIVE_RGB = (253, 126, 20)
 PATH_WIDTH_M = 0.025
 # Above one another, so that no two fight for the same pixels.
 _PLANNED_Z_M, _PATH_Z_M, _PLACED_Z_M, _NEXT_Z_M = 0.005, 0.008, 0.011, 0.014
@@ -25,6 +29,9 @@ _EDGE_M = 0.016
 _OUT_OF_SIGHT_M = -1.0
 # Rectangles that a mesh has room for at first.
 _ROOM = 128
+_ARROW_Z_M = 0.04
+_WORD_M = (0.18, 0.0, 0.12)
+_NO_STEPS = np.zeros(0, np.int8), np.zeros((0, 4))
 
 
 class Footprints:
@@ -33,27 +40,31 @@ class Footprints:
     def __init__(self, scene: viser.SceneApi, grid: OccupancyGrid, foot: FootShape) -> None:
         self._scene, self._grid = scene, grid
         self._sheets: dict[str, _Sheet] = {}
-        self._plate = _rectangle(foot.length_m, foot.width_m)
-        self._edge = _edge(foot)
+        length_m, width_m = foot.length_m, foot.width_m
+        x_m, y_m = (length_m - _EDGE_M) / 2, (width_m - _EDGE_M) / 2
+        self._plate = _rectangles((0, 0, length_m, width_m))
+        self._edge = _rectangles(
+            (0, y_m, length_m, _EDGE_M),
+            (0, -y_m, length_m, _EDGE_M),
+            (x_m, 0, _EDGE_M, width_m),
+            (-x_m, 0, _EDGE_M, width_m),
+        )
 
     def clear(self) -> None:
         """Takes all footprints away, and the path."""
-        nobody, nowhere = np.zeros(0, np.int8), np.zeros((0, 4))
-        self.plan(nobody, nowhere)
-        self.next_two(nobody, nowhere)
-        self.placed(nobody, nowhere)
+        self.plan(None)
+        self.placed(*_NO_STEPS)
         self.path(np.zeros((0, 2)))
 
-    def plan(self, side: np.ndarray, pose_world: np.ndarray) -> None:
-        """Shows the steps that lie ahead: side (N,), pose_world (N, 4) x, y, z, yaw."""
-        self._show("planned", self._plate, side, pose_world, _PLANNED_Z_M, paleness=0.35)
-
-    def next_two(self, side: np.ndarray, pose_world: np.ndarray) -> None:
-        """Shows the steps that the policy looks at; arrays as in `plan`."""
-        self._show("next", self._plate, side, pose_world, _NEXT_Z_M)
+    def plan(self, plan: FootstepPlan | None, done: int = 0) -> None:
+        """Shows the steps of a plan after the first `done`; the next two are those in full."""
+        side, pose_world = _NO_STEPS if plan is None else (plan.side, plan.pose_world)
+        near, far = slice(done, done + 2), slice(done + 2, None)
+        self._show("planned", self._plate, side[far], pose_world[far], _PLANNED_Z_M, paleness=0.35)
+        self._show("next", self._plate, side[near], pose_world[near], _NEXT_Z_M)
 
     def placed(self, side: np.ndarray, pose_world: np.ndarray) -> None:
-        """Shows where feet came to rest; arrays as in `plan`."""
+        """Shows where feet came to rest: side (N,), pose_world (N, 4) x, y, z, yaw."""
         self._show("placed", self._edge, side, pose_world, _PLACED_Z_M)
 
     def path(self, xy_world: np.ndarray) -> None:
@@ -86,7 +97,9 @@ class Footprints:
             corners = np.einsum("rki,nij->nrkj", shape, turn) + poses[:, None, None, :2]
             name = f"/steps/{kind}_{foot.name.lower()}"
             ground_m = np.repeat(poses[:, 2], len(shape))
-            self._sheet(name, height_m, _mixed(SIDE_RGB[foot], paleness)).show(corners, ground_m)
+            self._sheet(name, height_m, blended(SIDE_RGB[foot], FLOOR_RGB, paleness)).show(
+                corners, ground_m
+            )
 
     def _sheet(self, name: str, height_m: float, rgb: Rgb) -> _Sheet:
         if name not in self._sheets:
@@ -133,45 +146,10 @@ class _Sheet:
         )
 
 
-def _mixed(rgb: Rgb, paleness: float) -> Rgb:
-    red, green, blue = (
-        round((1 - paleness) * mine + paleness * floor)
-        for mine, floor in zip(rgb, FLOOR_RGB, strict=True)
-    )
-    return red, green, blue
-
-
-def _rectangle(
-    length_m: float, width_m: float, centre_m: tuple[float, float] = (0.0, 0.0)
-) -> np.ndarray:
-    """Corners (1, 4, 2), counter-clockwise."""
-    x, y = length_m / 2, width_m / 2
-    return np.array([[[x, y], [-x, y], [-x, -y], [x, -y]]]) + np.array(centre_m)
-
-
-def _edge(foot: FootShape) -> np.ndarray:
-    """The edge of a sole as four bars (4, 4, 2)."""
-    x, y = foot.length_m / 2 - _EDGE_M / 2, foot.width_m / 2 - _EDGE_M / 2
-    return np.concatenate(
-        [
-            _rectangle(foot.length_m, _EDGE_M, (0, y)),
-            _rectangle(foot.length_m, _EDGE_M, (0, -y)),
-            _rectangle(_EDGE_M, foot.width_m, (x, 0)),
-            _rectangle(_EDGE_M, foot.width_m, (-x, 0)),
-        ]
-    )
-
-
-# Arrows at poses: the goal, a requested goal, a refused one.
-
-# The pictures of plans have the same colour, written blue, green, red.
-GOAL_RGB: Rgb = GOAL[::-1]
-_PALE_RGB = (240, 170, 160)
-_REFUSED_RGB = (105, 108, 115)
-# As the button that takes what is on offer.
-_ALTERNATIVE_RGB = (253, 126, 20)
-_ABOVE_M = 0.04
-_LABEL_M = (0.18, 0.0, 0.12)
+def _rectangles(*rectangles: tuple[float, float, float, float]) -> np.ndarray:
+    """Corners (n, 4, 2), counter-clockwise; of each rectangle: middle x, y and extents in x, y."""
+    boxes = np.array(rectangles)[:, None]
+    return boxes[..., :2] + np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) / 2 * boxes[..., 2:]
 
 
 class Marker:
@@ -198,13 +176,13 @@ class Marker:
             visible=False,
         )
         if word:
-            scene.add_label(f"{name}/word", word, position=_LABEL_M, anchor="bottom-center")
+            scene.add_label(f"{name}/word", word, position=_WORD_M, anchor="bottom-center")
 
     def show(self, pose: Sequence[float] | None) -> None:
         """Puts it at the pose x_m, y_m, yaw_rad; None hides it."""
         self._arrow.visible = pose is not None
         if pose is not None:
-            self._arrow.position = (pose[0], pose[1], self._height_m(pose) + _ABOVE_M)
+            self._arrow.position = (pose[0], pose[1], self._height_m(pose) + _ARROW_Z_M)
             self._arrow.wxyz = turned(pose[2])
 
 
@@ -212,11 +190,11 @@ class PoseMarkers:
     """The arrows of a page. `height_m` of a pose is that of floor, wall or box there."""
 
     def __init__(self, scene: viser.SceneApi, height_m: Callable[[Sequence[float]], float]) -> None:
-        self._goal = Marker(scene, "/goal", height_m=height_m)
-        self._requested = Marker(scene, "/requested", _PALE_RGB, height_m=height_m)
-        self._refused = Marker(scene, "/refused", _REFUSED_RGB, word="refused", height_m=height_m)
-        self._alternative = Marker(
-            scene, "/alternative", _ALTERNATIVE_RGB, word="nearest free", height_m=height_m
+        self._markers = (
+            Marker(scene, "/goal", height_m=height_m),
+            Marker(scene, "/requested", _PALE_RGB, height_m=height_m),
+            Marker(scene, "/refused", _REFUSED_RGB, word="refused", height_m=height_m),
+            Marker(scene, "/alternative", _ALTERNATIVE_RGB, word="nearest free", height_m=height_m),
         )
         self._pointed: Pose | None = None
         self._shown: tuple[Pose | None, ...] = (None,) * 4
@@ -228,12 +206,9 @@ class PoseMarkers:
     def show(self, snapshot: Snapshot) -> None:
         """Shows what holds; what has not changed is left alone."""
         notice = snapshot.notice
-        refused, alternative = (
-            (None, None) if notice is None else (notice.refused, notice.alternative)
-        )
-        new = snapshot.goal, self._pointed or snapshot.requested, refused, alternative
-        markers = self._goal, self._requested, self._refused, self._alternative
-        for marker, pose, before in zip(markers, new, self._shown, strict=True):
+        told = (None, None) if notice is None else (notice.refused, notice.alternative)
+        new = snapshot.goal, self._pointed or snapshot.requested, *told
+        for marker, pose, before in zip(self._markers, new, self._shown, strict=True):
             if pose != before:
                 marker.show(pose)
         self._shown = new

@@ -31,6 +31,7 @@ from app.viewer.robot_scene import RobotScene, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session
 from app.viewer.snapshot import Notice, Snapshot
+from controller.observation import pelvis_yaw_rad
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
@@ -141,11 +142,7 @@ class Page:
     def _show_steps(self, new: Snapshot) -> None:
         old, footprints = self._shown, self._footprints
         if old is None or new.plan is not old.plan or new.done != old.done:
-            side = np.zeros(0, np.int8) if new.plan is None else new.plan.side
-            pose = np.zeros((0, 4)) if new.plan is None else new.plan.pose_world
-            ahead = new.done + 2
-            footprints.plan(side[ahead:], pose[ahead:])
-            footprints.next_two(side[new.done : ahead], pose[new.done : ahead])
+            footprints.plan(new.plan, new.done)
         if old is None or new.placed_side is not old.placed_side:
             footprints.placed(new.placed_side, new.placed_world)
             footprints.path(new.path_world)
@@ -169,8 +166,7 @@ class Page:
             self._box_pointed(pointed, on)
             return
         qpos = self.session.snapshot.qpos
-        w, x, y, z = qpos[3:7]
-        yaw_rad = float(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
+        yaw_rad = float(pelvis_yaw_rad(qpos[None])[0])
         pose = facing(pointed, (float(qpos[0]), float(qpos[1])), yaw_rad)
         self._pose_markers.point(None if is_final else pose)
         if is_final and self._tool is Tool.ROBOT:

@@ -95,8 +95,7 @@ class _Stage:
         self._shown = plans, placed
         begun_s, plan = story.plans[plans - 1]
         done = sum(begun_s < step.time_s <= time_s for step in story.placed)
-        self._footprints.plan(plan.side[done + 2 :], plan.pose_world[done + 2 :])
-        self._footprints.next_two(plan.side[done : done + 2], plan.pose_world[done : done + 2])
+        self._footprints.plan(plan, done)
         steps = story.placed[:placed]
         side = np.array([step.side for step in steps], np.int8)
         self._footprints.placed(
