@@ -283,7 +283,7 @@ def test_a_changed_map_leaves_the_robot_as_it_is():
         assert navigator.go(AHEAD, plan, replan_point, fresh=True)
         for tick in range(200):
             if changes and tick == 100:
-                navigator.set_grid(HALL.with_cells(np.eye(120, 160, 60, dtype=np.uint8)))
+                navigator.set_grid(HALL.with_cells(np.eye(120, 160, 60, dtype=np.uint8)), planner)
             navigator.tick()
         ends.append(navigator.qpos[-1])
     # Not to the bit: the contact solver starts anew.

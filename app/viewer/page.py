@@ -65,12 +65,12 @@ class Page:
         load: Callable[[str], tuple[Robot, Policy]],
     ) -> None:
         self.server, self.session, self._load = server, session, load
-        self._tool = Tool.GOAL
+        self._grid, self._tool = session.setup.bare_grid, Tool.GOAL
         self._notice: tuple[float, Notice] | None = None
         self._shown: Snapshot | None = None
         self._text_s = self._plot_s = 0.0
         self._drawing = threading.Lock()
-        scene, grid, robot = server.scene, session.grid, session.robot
+        scene, grid, robot = server.scene, self._grid, session.setup.robot
         self._pointer = FloorPointer(
             add_floor(scene, grid),
             surface_of(grid),
@@ -130,7 +130,7 @@ class Page:
             self._show_steps(snapshot)
             self._shown = snapshot
         place = snapshot.qpos[:2]
-        self.cameras.show(np.array([*place, float(self.session.grid.height_m(place))]))
+        self.cameras.show(np.array([*place, float(self._grid.height_m(place))]))
         now_s = time.monotonic()
         if now_s - self._text_s >= self.text_every_s:
             self._text_s = now_s
@@ -186,7 +186,7 @@ class Page:
 
     def _meets_robot(self, origin: ArrayLike, direction: ArrayLike) -> tuple[float, SurfaceHit]:
         x_m, y_m = (float(value) for value in self.session.snapshot.qpos[:2])
-        ground_m = float(self.session.grid.height_m((x_m, y_m)))
+        ground_m = float(self._grid.height_m((x_m, y_m)))
         where = SurfaceHit(x_m=x_m, y_m=y_m, z_m=ground_m, on=ROBOT)
         return self._robot_scene.hit_distance_m(origin, direction), where
 
@@ -213,9 +213,7 @@ class Page:
             self._robot_scene.remove()
             self._footprints.clear()
             self.session.set_robot(robot, policy)
-            self._footprints = Footprints(
-                self.server.scene, self.session.grid, robot.step_model.foot
-            )
+            self._footprints = Footprints(self.server.scene, self._grid, robot.step_model.foot)
             self._robot_scene = RobotScene(self.server.scene, meshes)
             self._shown = None
 

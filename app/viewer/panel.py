@@ -86,7 +86,7 @@ class Panel:
             clear = gui.add_button("Remove all boxes")
             clear.on_click(lambda _event: obstacle_editor.clear())
         with gui.add_folder("Robot and planner", expand_by_default=False):
-            robot = gui.add_dropdown("Robot", robots, initial_value=session.robot.name)
+            robot = gui.add_dropdown("Robot", robots, initial_value=session.setup.robot.name)
             robot.on_update(lambda _event: set_robot(robot.value))
             self._add_planner_options()
         with gui.add_folder("Plots"):
@@ -155,7 +155,7 @@ class Panel:
         self._session.clock.factor = SPEEDS[name]
 
     def _add_planner_options(self) -> None:
-        options = self._session.options
+        options = self._session.setup.options
         planner = self._gui.add_dropdown("Planner", PLANNERS, initial_value=options.name)
         epsilon = self._gui.add_slider(
             "epsilon",

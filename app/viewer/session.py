@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import queue
@@ -11,46 +12,28 @@ import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.output import InputError
-from app.viewer.live_navigator import LiveNavigator
+from app.viewer.live_navigator import LiveNavigator, Replanner
 from app.viewer.obstacles import Obstacle, with_obstacles
 from app.viewer.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
-from app.viewer.replanning import Replanner
 from app.viewer.snapshot import Notice, Snapshot, WalkHistory
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
-from planner.plan import FootstepPlan, Pose, finite_pose
+from planner.plan import Pose, finite_pose
 from sim.robot import Robot
-
-
-class CommandQueue:
-    """Thread-safe queue of commands, run in order by one thread."""
-
-    def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-
-    def add(self, command: Callable[[], None]) -> None:
-        """Returns at once; from any thread."""
-        self._queue.put(command)
-
-    def run_pending(self, wait_s: float, run: Callable[[Callable[[], None]], None]) -> None:
-        """Has all that are there fulfilled; waits for one for so long."""
-        try:
-            command = self._queue.get(timeout=wait_s) if wait_s > 0 else self._queue.get_nowait()
-            while True:
-                run(command)
-                command = self._queue.get_nowait()
-        except queue.Empty:
-            return
-
 
 # Simulated time that is behind real time by more than this is not caught up.
 _FORGIVEN_S = 0.5
 _MEASURED_OVER_S = 1.0
+# A box this near to the middle of the robot would be set down on it.
+ROOM_FOR_ROBOT_M = 0.45
+_IDLE_WAIT_S = 0.05
+_SNAPSHOT_EVERY_S = 1 / 60
 
 
 class SimulationClock:
@@ -150,59 +133,12 @@ class WalkSetup:
         )
 
 
-def snapshot_of(
-    replanner: Replanner, history: WalkHistory, *, start: Pose, speed: float
-) -> Snapshot:
-    """The robot, its plan and its walk so far; called in the thread of the physics."""
-    navigator = replanner.navigator
-    plan, done = _plan_to_show(replanner)
-    return Snapshot(
-        qpos=navigator.qpos[-1],
-        time_s=navigator.time_s,
-        walk=history.walk,
-        start=start,
-        goal=finite_pose(navigator.goal) if navigator.plans and not navigator.halted else None,
-        requested=replanner.requested,
-        plan=plan,
-        done=done,
-        placed_side=history.placed_side,
-        placed_world=history.placed_world,
-        foot_error_m=history.foot_error_m,
-        path_world=history.path_world,
-        status=navigator.status(is_asking=replanner.question is not None),
-        replans=navigator.replans,
-        answer_s=replanner.answer_s,
-        clearance_m=history.clearance_m,
-        goal_error=navigator.goal_error if navigator.plans else None,
-        speed=speed,
-        notice=replanner.notice,
-    )
-
-
-def _plan_to_show(replanner: Replanner) -> tuple[FootstepPlan | None, int]:
-    """The plan to be seen, and how many of its steps have been taken."""
-    navigator = replanner.navigator
-    if navigator.waiting is not None:
-        return navigator.waiting, 0
-    if replanner.question is not None and replanner.preview is not None and not navigator.going:
-        return replanner.preview, 0
-    if not navigator.followed:
-        return None, 0
-    begun_s, plan = navigator.followed[-1]
-    return plan, sum(placed.time_s > begun_s for placed in navigator.placed)
-
-
-# A box this near to the middle of the robot would be set down on it.
-ROOM_FOR_ROBOT_M = 0.45
-_IDLE_WAIT_S = 0.05
-_SNAPSHOT_EVERY_S = 1 / 60
-
-
 class Session:
     """Runs the physics of a robot, and carries out commands from the page.
 
     The methods may be called from any thread: they queue a command and return. `snapshot` is what
-    is seen now; `history` keeps what the plots show; `ended` is the first walk, once it is over.
+    is seen now; `setup` is what the walk depends on; `history` keeps what the plots show; `ended`
+    is the first walk, once it is over.
     """
 
     def __init__(
@@ -217,7 +153,7 @@ class Session:
         seed: int = 0,
     ) -> None:
         """A robot that stands at the start, or with a `goal` one that walks as in `navigate`."""
-        self._setup = WalkSetup(
+        self.setup = WalkSetup(
             bare_grid=grid,
             robot=robot,
             policy=policy,
@@ -225,9 +161,9 @@ class Session:
             options=options or PlannerOptions(),
             seed=seed,
         )
-        self._commands = CommandQueue()
+        self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
-        self._planner = PlannerProcess(self._setup.world)
+        self._planner = PlannerProcess(self.setup.world)
         self._shown_s, self._shown_answer = -math.inf, -1
         self.clock = SimulationClock()
         self.history = WalkHistory()
@@ -253,57 +189,42 @@ class Session:
         self._planner.close()
 
     @property
-    def grid(self) -> OccupancyGrid:
-        """The map without the boxes."""
-        return self._setup.bare_grid
-
-    @property
-    def robot(self) -> Robot:
-        """The one that walks."""
-        return self._setup.robot
-
-    @property
-    def options(self) -> PlannerOptions:
-        """How it plans."""
-        return self._setup.options
-
-    @property
     def planner_pid(self) -> int | None:
         """The process that plans."""
         return self._planner.process.pid
 
     def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
         """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
-        self._commands.add(
+        self._commands.put(
             lambda: self._replanner.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
         )
 
     def stop(self) -> None:
         """Stand still as soon as possible."""
-        self._commands.add(self._replanner.stop)
+        self._commands.put(self._replanner.stop)
 
     def reset(self, start: Sequence[float] | None = None) -> None:
         """Stand at the pose `start`, or where it stood at first, whatever has happened.
 
         Where it cannot stand it is not put, and the nearest pose that is free is offered.
         """
-        self._commands.add(lambda: self._reset(None if start is None else finite_pose(start)))
+        self._commands.put(lambda: self._reset(start))
 
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
         """These boxes stand on the map from now on, for planner and physics."""
-        self._commands.add(lambda: self._set_obstacles(tuple(obstacles)))
+        self._commands.put(lambda: self._set_obstacles(tuple(obstacles)))
 
     def set_robot(self, robot: Robot, policy: Policy) -> None:
         """Another robot takes the place of this one at the start."""
-        self._commands.add(lambda: self._set_robot(robot, policy))
+        self._commands.put(lambda: self._set_robot(robot, policy))
 
     def set_options(self, options: PlannerOptions) -> None:
         """Plan like this from now on."""
-        self._commands.add(lambda: self._set_options(options))
+        self._commands.put(lambda: self._set_options(options))
 
     def is_on_robot(self, obstacle: Obstacle) -> bool:
         """Whether there is no room for the box because the robot stands there."""
-        x_m, y_m = self.grid.world_to_grid(self.snapshot.qpos[:2])
+        x_m, y_m = self.setup.bare_grid.world_to_grid(self.snapshot.qpos[:2])
         return obstacle.distance_m(float(x_m), float(y_m)) < ROOM_FOR_ROBOT_M
 
     # From here on everything runs in the session's own thread.
@@ -313,13 +234,20 @@ class Session:
         while not self._ending.is_set():
             # A robot in a hurry would be past the place that the planner is thinking of.
             self.clock.is_idle = not replanner.navigator.going or replanner.question is not None
-            self._commands.run_pending(self._wait_s(), self._try)
+            self._run_commands(self._wait_s())
             self._try(replanner.listen)
             if replanner.navigator.rests:
                 self.clock.skip()
             elif self.clock.is_due():
                 self._try(self._tick)
             self._show()
+
+    def _run_commands(self, wait_s: float) -> None:
+        """Carries out all that are there; waits for one for so long."""
+        with contextlib.suppress(queue.Empty):
+            self._try(self._commands.get(block=wait_s > 0, timeout=wait_s))
+            while True:
+                self._try(self._commands.get_nowait())
 
     def _wait_s(self) -> float:
         """How long nothing needs to be done, unless a command comes."""
@@ -363,51 +291,74 @@ class Session:
             self.snapshot = self._take_snapshot()
 
     def _take_snapshot(self) -> Snapshot:
-        start, speed = self._setup.start, self.clock.reached
-        return snapshot_of(self._replanner, self.history, start=start, speed=speed)
+        """The robot, its plan and its walk so far."""
+        replanner, history = self._replanner, self.history
+        navigator = replanner.navigator
+        plan, done = replanner.shown_plan
+        has_goal = navigator.plans and not navigator.halted
+        return Snapshot(
+            qpos=navigator.qpos[-1],
+            time_s=navigator.time_s,
+            walk=history.walk,
+            start=self.setup.start,
+            goal=finite_pose(navigator.goal) if has_goal else None,
+            requested=replanner.requested,
+            plan=plan,
+            done=done,
+            placed_side=history.placed_side,
+            placed_world=history.placed_world,
+            foot_error_m=history.foot_error_m,
+            path_world=history.path_world,
+            status=navigator.status(is_asking=replanner.question is not None),
+            replans=navigator.replans,
+            answer_s=replanner.answer_s,
+            clearance_m=history.clearance_m,
+            goal_error=navigator.goal_error if navigator.plans else None,
+            speed=self.clock.reached,
+            notice=replanner.notice,
+        )
 
-    def _reset(self, start: Pose | None) -> None:
-        wanted = start or self._setup.start
-        blocked, alternative = place_to_stand(self._setup.world, wanted)
+    def _reset(self, start: Sequence[float] | None) -> None:
+        wanted = self.setup.start if start is None else finite_pose(start)
+        blocked, alternative = place_to_stand(self.setup.world, wanted)
         if blocked:
             text = f"the robot cannot stand there: {blocked}"
             self._replanner.notice = Notice(
                 text=text, refused=wanted, alternative=alternative, puts_robot=True
             )
             return
-        self._setup = replace(self._setup, start=wanted)
+        self.setup = replace(self.setup, start=wanted)
         self._replanner.take(self._standing())
 
     def _set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
-        self._setup = replace(self._setup, obstacles=obstacles)
-        navigator = self._replanner.navigator
-        navigator.use_planner(self._planner)
-        navigator.set_grid(self._setup.grid)
-        self._planner.set_world(self._setup.world)
+        self._change(obstacles=obstacles)
+        self._replanner.navigator.set_grid(self.setup.grid, self._planner)
         self._replanner.plan_anew()
 
     def _set_options(self, options: PlannerOptions) -> None:
-        self._setup = replace(self._setup, options=options)
-        self._planner.set_world(self._setup.world)
+        self._change(options=options)
         self._replanner.plan_anew()
 
     def _set_robot(self, robot: Robot, policy: Policy) -> None:
-        self._setup = replace(self._setup, robot=robot, policy=policy)
-        self._planner.set_world(self._setup.world)
+        self._change(robot=robot, policy=policy)
         self._replanner.take(self._standing())
+
+    def _change(self, **changes: Any) -> None:
+        self.setup = replace(self.setup, **changes)
+        self._planner.set_world(self.setup.world)
 
     def _standing(self) -> LiveNavigator:
         """A robot that stands at the start."""
-        navigator = self._setup.navigator(planner=self._planner)
+        navigator = self.setup.navigator(planner=self._planner)
         # Sensors tell of the step before: there must be one.
         navigator.tick()
         return navigator
 
     def _walking(self, goal: Pose) -> LiveNavigator:
         """A robot with a goal that plans for itself, in this process if that is quick."""
-        is_slow = self._setup.options.name in SAMPLING_PLANNERS
+        is_slow = self.setup.options.name in SAMPLING_PLANNERS
         planner: FootstepPlanner | None = BlockingPlanner(self._planner) if is_slow else None
-        navigator = self._setup.navigator(goal=goal, planner=planner)
+        navigator = self.setup.navigator(goal=goal, planner=planner)
         navigator.going = navigator.plan().found
         self.ended = None if navigator.going else copy.copy(navigator)
         return navigator
