@@ -171,7 +171,7 @@ def report(number: int, walks: Walks) -> None:
     page = walks.page
     gc.collect()
     opening_ms = 1000 * statistics.median(opening_s(page) for _ in range(OPENINGS))
-    buffer = page.server._websock_server._broadcast_buffer
+    buffer = page.server.broadcast
     nodes = len(page.server.scene._handle_from_node_name)
     planner = page.session.planner_pid
     planner_mb = 0.0 if planner is None else megabytes(str(planner))

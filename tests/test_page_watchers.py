@@ -47,7 +47,7 @@ class Served:
     @property
     def kept(self) -> tuple[int, int, int]:
         """Messages kept for who comes later, nodes of the scene, controls of the panel."""
-        buffer = self.server._websock_server._broadcast_buffer
+        buffer = self.server.broadcast
         nodes, controls = (
             self.server.scene._handle_from_node_name,
             self.server.gui._gui_input_handle_from_uuid,
@@ -190,7 +190,7 @@ def test_threads_that_write_at_once_meet_no_change_of_who_waits(served):
     """viser's own events, set from other threads, break in about one of 100,000 writes."""
     watchers = [Watcher(served.server.url) for _ in range(3)]
     wait_until(lambda: served.page.visitors == 3, "three pages are open")
-    buffer = served.server._websock_server._broadcast_buffer
+    buffer = served.server.broadcast
     events = [buffer.message_event]
     events += [
         client._websock_connection.get_message_buffer().message_event
@@ -234,7 +234,7 @@ def test_boxes_and_pages_that_come_and_go_leave_nothing_behind(served):
 
 def test_a_page_opens_as_quickly_after_ages_as_at_first(served):
     """A trillion messages ago: whoever looked for each of them would never be done."""
-    buffer = served.server._websock_server._broadcast_buffer
+    buffer = served.server.broadcast
     shown_walk(served.page, served.session.snapshot, 3, np.random.default_rng(0))
     buffer.message_counter += 10**12
     shown_walk(served.page, served.session.snapshot, 2, np.random.default_rng(1))

@@ -35,6 +35,12 @@ HANDS_OFF_S = 0.4
 _STILL_M = 1e-3
 # What a page says of its camera may be as old as this many frames.
 _REMEMBERED = 120
+# Of a window that has not said so far which shape it has.
+_ASPECT = 1.5
+# A page that has just opened may go to where all pages begin after it was aimed.
+_OPENS_FOR_S = 20.0
+_AIM_EVERY_S = 1.0
+_ALIKE_M = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,15 +63,12 @@ class Sight:
 
 
 def is_phone(aspect: float) -> bool:
-    """Whether a window of this width over height is that of a phone, held upright."""
+    """Whether a window of this aspect, width over height, is that of a phone held upright."""
     return aspect < _PHONE_ASPECT
 
 
 def free_middle(aspect: float) -> tuple[float, float]:
-    """The middle of what the panel leaves free of a window, from -1 left, down to 1 right, up.
-
-    aspect: width over height of the window.
-    """
+    """The middle of what the panel leaves free, from -1 left, down to 1 right, up of a window."""
     return (0.0, _PHONE_SHARE) if is_phone(aspect) else (-_PANEL_SHARE, 0.0)
 
 
@@ -152,16 +155,6 @@ def _is_alike(one: Sight, other: Sight) -> bool:
     return turned < 5e-3 and abs(one.distance_m / max(other.distance_m, 1e-9) - 1) < 1e-2
 
 
-# The cameras of all pages that are open, each with a will of its own.
-
-# Of a window that has not said so far which shape it has.
-_ASPECT = 1.5
-# A page that has just opened may go to where all pages begin after it was aimed.
-_OPENS_FOR_S = 20.0
-_AIM_EVERY_S = 1.0
-_ALIKE_M = 0.05
-
-
 @dataclass(kw_only=True)
 class _Visitor:
     """Somebody's page: how to reach it, its switch, and its follower while that is on.
@@ -244,8 +237,7 @@ class Cameras:
             order=self._order,
             hint="On this page alone. Turn the view and come nearer as you like meanwhile.",
         )
-        aspect = client.camera.aspect
-        now_s = time.monotonic()
+        aspect, now_s = client.camera.aspect, time.monotonic()
         visitor = _Visitor(
             client=client,
             switch=switch,
@@ -263,10 +255,9 @@ class Cameras:
             self._visitors.pop(client.client_id, None)
 
     def _switched(self, visitor: _Visitor) -> None:
-        wanted = visitor.switch.value
         camera = visitor.client.camera
         follower = Follower(_sight(camera), camera.aspect, time.monotonic())
-        visitor.follower = follower if wanted else None
+        visitor.follower = follower if visitor.switch.value else None
 
 
 def aim_pages(server: viser.ViserServer, sight: Sight) -> None:

@@ -123,7 +123,7 @@ class Page:
     def show(self, snapshot: Snapshot) -> None:
         """Draws one moment; what has not changed since the last is left alone."""
         with self._drawing, self.server.atomic():
-            if len(snapshot.qpos) != self._robot_scene.length:
+            if len(snapshot.qpos) != self._robot_scene.meshes.model.nq:
                 return  # The robot has just been exchanged for another one.
             self._robot_scene.pose(snapshot.qpos)
             self._pose_markers.show(snapshot)

@@ -50,8 +50,10 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
         add_floor(server.scene, grid)
         goal = Marker(server.scene, "/goal", height_m=lambda pose: float(grid.height_m(pose[:2])))
         goal.show(story.goal)
-        footprints = Footprints(server.scene, grid, robot.step_model.foot)
-        stage = _Stage(RobotScene(server.scene, robot_meshes_of(robot)), footprints)
+        stage = _Stage(
+            RobotScene(server.scene, robot_meshes_of(robot)),
+            Footprints(server.scene, grid, robot.step_model.foot),
+        )
         frames = frame_indices(story.recording)
         stage.show(story, 0)
         recorder = server.get_scene_serializer()
@@ -98,8 +100,7 @@ class _Stage:
         self._footprints.plan(plan, done)
         steps = story.placed[:placed]
         side = np.array([step.side for step in steps], np.int8)
-        self._footprints.placed(
-            side, np.array([step.placed_world for step in steps]).reshape(-1, 4)
-        )
+        poses = np.array([step.placed_world for step in steps]).reshape(-1, 4)
+        self._footprints.placed(side, poses)
         # Four points a second make a smooth path.
         self._footprints.path(story.recording.qpos[: moment + 1 : 10, :2])

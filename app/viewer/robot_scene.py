@@ -19,6 +19,8 @@ from sim.scene import build_scene
 # Any timestep will do: nothing is simulated with the model that is drawn.
 _TIMESTEP_S = 0.001
 _CAPSULE_SIDES = 16
+ROOT = "/robot"
+Rgb = tuple[int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +29,7 @@ class Part:
 
     vertices_m: np.ndarray
     faces: np.ndarray
-    rgb: tuple[int, int, int]
+    rgb: Rgb
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,8 +68,7 @@ def robot_meshes_of(robot: Robot) -> RobotMeshes:
     """The robot's meshes, or its collision shapes if it has none, gathered by body and colour."""
     model = build_scene(robot, timestep_s=_TIMESTEP_S, visuals=True).model
     group = _drawn_group(model)
-    gathered: dict[int, dict[tuple[int, int, int], list[trimesh.Trimesh]]]
-    gathered = defaultdict(lambda: defaultdict(list))
+    gathered: dict[int, dict[Rgb, list[trimesh.Trimesh]]] = defaultdict(lambda: defaultdict(list))
     for geom in np.flatnonzero((model.geom_group == group) & (model.geom_bodyid > 0)):
         red, green, blue = (int(255 * value) for value in model.geom_rgba[geom, :3])
         shape = _shape(model, int(geom))
@@ -85,7 +86,7 @@ def _drawn_group(model: mujoco.MjModel) -> int:
     return VISUAL_GROUP if np.any(model.geom_group == VISUAL_GROUP) else PHYSICS_GROUP
 
 
-def _parts(by_colour: dict[tuple[int, int, int], list[trimesh.Trimesh]]) -> tuple[Part, ...]:
+def _parts(by_colour: dict[Rgb, list[trimesh.Trimesh]]) -> tuple[Part, ...]:
     parts = []
     for rgb, shapes in by_colour.items():
         whole: Any = trimesh.util.concatenate(shapes)
@@ -103,7 +104,12 @@ def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     size = model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        shape = _mesh(model, int(model.geom_dataid[geom]))
+        mesh = model.mesh(model.geom_dataid[geom])
+        vertex, face = int(mesh.vertadr[0]), int(mesh.faceadr[0])
+        shape = trimesh.Trimesh(
+            vertices=model.mesh_vert[vertex : vertex + int(mesh.vertnum[0])],
+            faces=model.mesh_face[face : face + int(mesh.facenum[0])],
+        )
     elif kind == mujoco.mjtGeom.mjGEOM_BOX:
         shape = trimesh.creation.box(extents=2 * size)
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
@@ -122,25 +128,11 @@ def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
     return shape.apply_transform(placed)
 
 
-def _mesh(model: mujoco.MjModel, mesh: int) -> trimesh.Trimesh:
-    first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-    first_face, faces = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-    return trimesh.Trimesh(
-        vertices=model.mesh_vert[first : first + count],
-        faces=model.mesh_face[first_face : first_face + faces],
-    )
-
-
-# The robot in a viser scene: one node for each moving body.
-
-ROOT = "/robot"
-
-
 class RobotScene:
-    """The robot as drawn; `pose` moves it. A robot drawn before under the same name goes."""
+    """The robot as drawn, a node for each body; `pose` moves it. One drawn before goes."""
 
     def __init__(self, scene: viser.SceneApi, meshes: RobotMeshes) -> None:
-        self._meshes = meshes
+        self.meshes = meshes
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._bodies = []
         self._posed = np.zeros(0)
@@ -155,17 +147,12 @@ class RobotScene:
                     side="double",
                 )
 
-    @property
-    def length(self) -> int:
-        """How many numbers a state of this robot has."""
-        return int(self._meshes.model.nq)
-
     def pose(self, qpos: np.ndarray) -> None:
         """Puts every body where it is at qpos (nq,); nothing is to do where it is already."""
         if np.array_equal(qpos, self._posed):
             return
         self._posed = np.array(qpos)
-        positions, quaternions = self._meshes.poses(qpos)
+        positions, quaternions = self.meshes.poses(qpos)
         for body, position, wxyz in zip(self._bodies, positions, quaternions, strict=True):
             body.position = position.round(4)
             body.wxyz = wxyz.round(5)
@@ -174,7 +161,7 @@ class RobotScene:
         """How far from its origin (3,) a ray meets the robot as drawn; infinite if it does not."""
         if not len(self._posed):
             return math.inf
-        return self._meshes.hit_distance_m(self._posed, origin, direction)
+        return self.meshes.hit_distance_m(self._posed, origin, direction)
 
     def remove(self) -> None:
         """Takes the robot out of the scene."""

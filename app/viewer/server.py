@@ -14,7 +14,7 @@ import viser
 
 from app.output import InputError
 
-# How what is to be seen reaches a page: what is kept, in order, however much there was before.
+LOCAL = "127.0.0.1"
 
 
 class OneThreadEvent(asyncio.Event):
@@ -99,25 +99,12 @@ def _after(buffer: Any, client_id: int, sent_id: int, last_id: int) -> tuple[lis
     return window, taken[-1] if len(taken) < len(newer) else max(sent_id, last_id)
 
 
-LOCAL = "127.0.0.1"
-
-
 class PageServer(viser.ViserServer):
     """A viser server that opens no tunnel to other networks, whatever a page asks for."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuses: what is served here is for those who can reach this machine."""
         return None
-
-    def make_thread_safe(self) -> None:
-        """Makes viser's buffers bear many threads and long hours; before any page is open."""
-        messages = self._websock_server
-        make_thread_safe(messages.get_message_buffer())
-        skip_superseded(messages.get_message_buffer())
-        # These run before anybody waits for the messages of a new page.
-        messages.on_client_connect(
-            lambda connection: make_thread_safe(connection.get_message_buffer())
-        )
 
     def stop(self) -> None:
         """Ends the server, without viser's word about it on standard output."""
@@ -130,6 +117,11 @@ class PageServer(viser.ViserServer):
         host = self.get_host()
         return f"http://{'localhost' if host in ('0.0.0.0', '::') else host}:{self.get_port()}"
 
+    @property
+    def broadcast(self) -> Any:
+        """The buffer of what all pages are sent, those that open later too."""
+        return self._websock_server.get_message_buffer()
+
 
 def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
     """A server at this address; with port 0 the system chooses a free one.
@@ -141,7 +133,12 @@ def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
     # viser announces itself on standard output, which belongs to results.
     with contextlib.redirect_stdout(io.StringIO()):
         server = PageServer(host=host, port=port, label=title, verbose=False)
-    server.make_thread_safe()
+    make_thread_safe(server.broadcast)
+    skip_superseded(server.broadcast)
+    # Before anybody waits for the messages of a new page.
+    server._websock_server.on_client_connect(
+        lambda connection: make_thread_safe(connection.get_message_buffer())
+    )
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
 
