@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import multiprocessing
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypedDict, Unpack
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maps.grid import OccupancyGrid
 from planner.collision import Terrain, terrain_of
@@ -99,11 +98,11 @@ def answer_questions(pipe: Connection) -> None:
                 if isinstance(message, World):
                     if world is None:
                         _warm_up(message)
-                    if planners is not None and _differs_in_map_only(world, message):
-                        for planner in planners:
-                            planner.take_map(message.grid)
-                    else:
+                    known = world and (world.model, world.options)
+                    if known != (message.model, message.options):
                         planners = None
+                    for planner in planners or ():
+                        planner.take_map(message.grid)
                     world = message
                 else:
                     query = message
@@ -112,11 +111,6 @@ def answer_questions(pipe: Connection) -> None:
             _answer(pipe, world, planners, query)
     except (EOFError, OSError, KeyboardInterrupt):
         return
-
-
-def _differs_in_map_only(world: World | None, other: World) -> bool:
-    """Whether planners over the one may go on over the other, with what they know."""
-    return world is not None and (world.model, world.options) == (other.model, other.options)
 
 
 def _warm_up(world: World) -> None:
@@ -160,19 +154,12 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
 
 def _alternative(world: World, planner: Planner, asked: Asked, status: PlanStatus) -> Pose | None:
     """A pose that would do instead of the goal, if there is one near."""
-    grid, model, goal = world.grid, world.model, asked["goal"]
-    terrain = terrain_of(grid, world.options.unknown_is_free)
     if status in (PlanStatus.GOAL_BLOCKED, PlanStatus.OFF_MAP):
-        return nearest_free_pose(grid, terrain, model, goal)
-    if status is not PlanStatus.NO_PATH:
-        return None
-    start = pair_pose(asked["start_feet_world"])
-
-    def has_way(pose: Pose) -> bool:
-        there: Asked = {**asked, "goal": pose}
-        return planner.plan(**there).found
-
-    return _nearest_reachable_pose(grid, terrain, model, start, goal, has_way)
+        terrain = terrain_of(world.grid, world.options.unknown_is_free)
+        return nearest_free_pose(world.grid, terrain, world.model, asked["goal"])
+    if status is PlanStatus.NO_PATH:
+        return _nearest_reachable_pose(world, planner, asked)
+    return None
 
 
 def place_to_stand(world: World, pose: Pose) -> tuple[str, Pose | None]:
@@ -186,22 +173,17 @@ def place_to_stand(world: World, pose: Pose) -> tuple[str, Pose | None]:
     return blocked, nearest_free_pose(grid, terrain, model, pose) if blocked else None
 
 
-def _nearest_reachable_pose(
-    grid: OccupancyGrid,
-    terrain: Terrain,
-    model: StepModel,
-    start: ArrayLike,
-    goal: Sequence[float],
-    has_way: Callable[[Pose], bool],
-) -> Pose | None:
-    """The pose nearest to a free goal without a way to which `has_way` finds one.
+def _nearest_reachable_pose(world: World, planner: Planner, asked: Asked) -> Pose | None:
+    """The pose nearest to a free goal without a way to which there is one.
 
-    Only places are tried to which a disk as wide as the body can roll from the start (x, y, ...),
-    and few of them.
+    Only places are tried to which a disk as wide as the body can roll from the start, and few of
+    them.
     """
+    grid, model, goal = world.grid, world.model, asked["goal"]
+    terrain = terrain_of(grid, world.options.unknown_is_free)
     until_s = time.monotonic() + _LONGEST_S
     tried: list[Pose] = []
-    places = _rolled_to(grid, terrain, model, start)
+    places = _rolled_to(grid, terrain, model, pair_pose(asked["start_feet_world"]))
     for place in places[np.argsort(np.hypot(*(places - goal[:2]).T), kind="stable")]:
         pose = round(float(place[0]), 3), round(float(place[1]), 3), goal[2]
         if len(tried) == _MOST_TRIED or time.monotonic() > until_s:
@@ -210,19 +192,20 @@ def _nearest_reachable_pose(
             continue
         if what_blocks(grid, terrain, model, feet_at(pose, model.stance_width_m)):
             continue
-        if has_way(pose):
+        there: Asked = {**asked, "goal": pose}
+        if planner.plan(**there).found:
             return pose
         tried.append(pose)
     return None
 
 
 def _rolled_to(
-    grid: OccupancyGrid, terrain: Terrain, model: StepModel, start: ArrayLike
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, start: np.ndarray
 ) -> np.ndarray:
     """Centres (n, 2) in the world of cells to which the narrowest disk in the body can roll."""
     radius_m = min(model.body.length_m, model.body.width_m) / 2
     wide = (np.asarray(terrain.clearance_m) > radius_m).astype(np.uint8)
-    row, col = (int(value) for value in grid.world_to_cell(np.asarray(start)[:2]))
+    row, col = (int(value) for value in grid.world_to_cell(start[:2]))
     rows, cols = grid.shape
     if not (0 <= row < rows and 0 <= col < cols):
         return np.zeros((0, 2))

@@ -11,8 +11,8 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial, wraps
+from typing import Any, Concatenate, ParamSpec
 
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.output import InputError
@@ -133,12 +133,27 @@ class WalkSetup:
         )
 
 
+P = ParamSpec("P")
+
+
+def _queued(
+    command: Callable[Concatenate[Session, P], None],
+) -> Callable[Concatenate[Session, P], None]:
+    """The command carried out by the session's thread; a call from any thread returns at once."""
+
+    @wraps(command)
+    def queued(session: Session, /, *args: P.args, **kwargs: P.kwargs) -> None:
+        session.commands.put(partial(command, session, *args, **kwargs))
+
+    return queued
+
+
 class Session:
     """Runs the physics of a robot, and carries out commands from the page.
 
-    The methods may be called from any thread: they queue a command and return. `snapshot` is what
-    is seen now; `setup` is what the walk depends on; `history` keeps what the plots show; `ended`
-    is the first walk, once it is over.
+    The public methods may be called from any thread; `commands` are those that its own thread has
+    yet to carry out. `snapshot` is what is seen now; `setup` is what the walk depends on; `history`
+    keeps what the plots show; `ended` is the first walk, once it is over.
     """
 
     def __init__(
@@ -161,7 +176,7 @@ class Session:
             options=options or PlannerOptions(),
             seed=seed,
         )
-        self._commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self.commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
         self._planner = PlannerProcess(self.setup.world)
         self._shown_s, self._shown_answer = -math.inf, -1
@@ -193,41 +208,56 @@ class Session:
         """The process that plans."""
         return self._planner.process.pid
 
+    @_queued
     def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
         """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
-        self._commands.put(
-            lambda: self._replanner.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
-        )
+        self._replanner.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
 
+    @_queued
     def stop(self) -> None:
         """Stand still as soon as possible."""
-        self._commands.put(self._replanner.stop)
+        self._replanner.stop()
 
+    @_queued
     def reset(self, start: Sequence[float] | None = None) -> None:
         """Stand at the pose `start`, or where it stood at first, whatever has happened.
 
         Where it cannot stand it is not put, and the nearest pose that is free is offered.
         """
-        self._commands.put(lambda: self._reset(start))
+        wanted = self.setup.start if start is None else finite_pose(start)
+        blocked, alternative = place_to_stand(self.setup.world, wanted)
+        if blocked:
+            text = f"the robot cannot stand there: {blocked}"
+            self._replanner.notice = Notice(
+                text=text, refused=wanted, alternative=alternative, puts_robot=True
+            )
+            return
+        self.setup = replace(self.setup, start=wanted)
+        self._replanner.take(self._standing())
 
+    @_queued
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
         """These boxes stand on the map from now on, for planner and physics."""
-        self._commands.put(lambda: self._set_obstacles(tuple(obstacles)))
+        self._change(obstacles=tuple(obstacles))
+        self._replanner.navigator.set_grid(self.setup.grid, self._planner)
+        self._replanner.plan_anew()
 
+    @_queued
     def set_robot(self, robot: Robot, policy: Policy) -> None:
         """Another robot takes the place of this one at the start."""
-        self._commands.put(lambda: self._set_robot(robot, policy))
+        self._change(robot=robot, policy=policy)
+        self._replanner.take(self._standing())
 
+    @_queued
     def set_options(self, options: PlannerOptions) -> None:
         """Plan like this from now on."""
-        self._commands.put(lambda: self._set_options(options))
+        self._change(options=options)
+        self._replanner.plan_anew()
 
     def is_on_robot(self, obstacle: Obstacle) -> bool:
         """Whether there is no room for the box because the robot stands there."""
         x_m, y_m = self.setup.bare_grid.world_to_grid(self.snapshot.qpos[:2])
         return obstacle.distance_m(float(x_m), float(y_m)) < ROOM_FOR_ROBOT_M
-
-    # From here on everything runs in the session's own thread.
 
     def _run(self) -> None:
         replanner = self._replanner
@@ -245,9 +275,9 @@ class Session:
     def _run_commands(self, wait_s: float) -> None:
         """Carries out all that are there; waits for one for so long."""
         with contextlib.suppress(queue.Empty):
-            self._try(self._commands.get(block=wait_s > 0, timeout=wait_s))
+            self._try(self.commands.get(block=wait_s > 0, timeout=wait_s))
             while True:
-                self._try(self._commands.get_nowait())
+                self._try(self.commands.get_nowait())
 
     def _wait_s(self) -> float:
         """How long nothing needs to be done, unless a command comes."""
@@ -317,31 +347,6 @@ class Session:
             speed=self.clock.reached,
             notice=replanner.notice,
         )
-
-    def _reset(self, start: Sequence[float] | None) -> None:
-        wanted = self.setup.start if start is None else finite_pose(start)
-        blocked, alternative = place_to_stand(self.setup.world, wanted)
-        if blocked:
-            text = f"the robot cannot stand there: {blocked}"
-            self._replanner.notice = Notice(
-                text=text, refused=wanted, alternative=alternative, puts_robot=True
-            )
-            return
-        self.setup = replace(self.setup, start=wanted)
-        self._replanner.take(self._standing())
-
-    def _set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
-        self._change(obstacles=obstacles)
-        self._replanner.navigator.set_grid(self.setup.grid, self._planner)
-        self._replanner.plan_anew()
-
-    def _set_options(self, options: PlannerOptions) -> None:
-        self._change(options=options)
-        self._replanner.plan_anew()
-
-    def _set_robot(self, robot: Robot, policy: Policy) -> None:
-        self._change(robot=robot, policy=policy)
-        self._replanner.take(self._standing())
 
     def _change(self, **changes: Any) -> None:
         self.setup = replace(self.setup, **changes)
