@@ -22,8 +22,8 @@ class Watcher:
     """Opens the page at an address; hears all that comes until it is closed.
 
     `heard` counts the messages by kind, `heard_of` by the node that they are about; `last` has the
-    latest of each kind. `shape_px` is the window's width and height. One that is lazy never reads
-    what it is sent.
+    latest of each kind, `last_of` of each kind and node. `shape_px` is the window's width and
+    height. One that is lazy never reads what it is sent.
     """
 
     def __init__(
@@ -32,6 +32,7 @@ class Watcher:
         self.heard: Counter[str] = Counter()
         self.heard_of: Counter[str] = Counter()
         self.last: dict[str, dict[str, Any]] = {}
+        self.last_of: dict[tuple[str, str], dict[str, Any]] = {}
         self.shape_px = width_px, height_px
         self._socket = connect(
             url.replace("http", "ws", 1),
@@ -93,8 +94,9 @@ class Watcher:
                 packed = int(np.frombuffer(raw[8:16], "<u8")[0])
                 window = msgspec.msgpack.decode(unzip.decompress(raw[16 : 16 + packed]))
                 for message in window["messages"]:
-                    self.heard[message["type"]] += 1
-                    self.heard_of[message.get("name", "")] += 1
-                    self.last[message["type"]] = message
+                    kind, name = message["type"], message.get("name", "")
+                    self.heard[kind] += 1
+                    self.heard_of[name] += 1
+                    self.last[kind] = self.last_of[kind, name] = message
         except (ConnectionClosed, OSError):
             return

@@ -21,9 +21,9 @@ import pytest
 
 from app.viewer.camera import FIELD_OF_VIEW_RAD, overview
 from app.viewer.panel import CHOSEN
-from maps.grid import OccupancyGrid
+from tests.programs import ROOT, run_python
+from tests.scenes import HALL
 
-ROOT = Path(__file__).resolve().parent.parent
 BROWSER = os.environ.get("FOOTFALL_CHROMIUM") or shutil.which("chromium")
 ARGUMENTS = [
     *("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
@@ -53,8 +53,6 @@ if BROWSER is None:
 
 
 WIDTH_PX, HEIGHT_PX = 900, 600
-# An empty hall, 8 by 6 m, with the start near its left end.
-HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
 
 
 def pixel_of(x_m: float, y_m: float) -> tuple[float, float]:
@@ -205,9 +203,8 @@ def test_what_is_impossible_is_told_and_a_pose_offered(visit, address):
 
 @pytest.mark.slow
 def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
-    words = [sys.executable, "main.py", "navigate", "--map", str(hall), "--goal", "0.6,0,0"]
-    words += ["--out", str(tmp_path), "--html", str(tmp_path / "walk.html")]
-    subprocess.run(words, cwd=ROOT, check=False, capture_output=True)
+    words = ["main.py", "navigate", "--map", hall, "--goal", "0.6,0,0"]
+    run_python(*words, "--out", tmp_path, "--html", tmp_path / "walk.html")
     visit.page.goto((tmp_path / "walk.html").as_uri())
     shown = visit.page.locator("input[type=text], input[inputmode]").first
     shown.wait_for()

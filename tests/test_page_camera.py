@@ -17,9 +17,8 @@ from app.viewer.camera import (
     centred,
     overview,
 )
-from maps.grid import OccupancyGrid
+from tests.scenes import HALL
 
-GRID = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
 FRAME_S = 1 / 30
 LANDSCAPE, PHONE = 1.5, 390 / 844
 
@@ -39,7 +38,7 @@ def seen_at(sight: Sight, point_m: np.ndarray, aspect: float) -> tuple[float, fl
     [(LANDSCAPE, 0.56, -1.0), (2.2, 0.56, -1.0), (PHONE, 1.0, 0.2)],
 )
 def test_the_whole_map_is_seen_at_first_where_the_panel_is_not(aspect, right_edge, lower_edge):
-    sight = overview(GRID, aspect)
+    sight = overview(HALL, aspect)
     for corner in ((-2, -3, 0), (6, -3, 0), (6, 3, 0), (-2, 3, 0)):
         x, y = seen_at(sight, np.array(corner, float), aspect)
         assert -1 <= x <= right_edge
@@ -65,7 +64,7 @@ class Watched:
 
     def __init__(self, late: int = 0) -> None:
         self.now_s, self.robot_m = 0.0, np.zeros(3)
-        self.told = [overview(GRID, LANDSCAPE)]
+        self.told = [overview(HALL, LANDSCAPE)]
         self.late = late
         self.follower = Follower(self.told[0], LANDSCAPE, self.now_s)
 

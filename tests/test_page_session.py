@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
+import signal
 import sys
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,41 +14,45 @@ import numpy as np
 import pytest
 
 from app.navigation.navigator import Navigator, NavigatorConfig
-from app.viewer.live_navigator import LiveNavigator
+from app.viewer.live_navigator import LiveNavigator, Replanner
 from app.viewer.obstacles import Obstacle, snapped
-from app.viewer.planner_process import BlockingPlanner
+from app.viewer.planner_process import Answer
 from app.viewer.session import Session
-from controller.policy import POLICY_FOLDER, load_policy
-from maps.grid import OccupancyGrid
+from app.viewer.snapshot import WalkHistory
 from planner.options import PlannerOptions
 from planner.planner import Planner
-from sim.robots import get_robot
+from tests.scenes import HALL, POLICY, ROBOT, wait_until
 
-ROBOT = get_robot("jvrc1")
-POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
-# An empty hall of 8 by 6 m; straight ahead is what every policy that walks can do.
-HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
+# Straight ahead is what every policy that walks can do.
 AHEAD = (2.0, 0.0, 0.0)
-WAIT_LIMIT_S = 120.0
+
+
+@contextlib.contextmanager
+def lived(*arguments: Any, **options: Any) -> Iterator[Session]:
+    """A session that lives as fast as it can."""
+    session = Session(*arguments, **options)
+    session.clock.factor = math.inf
+    session.start()
+    try:
+        yield session
+    finally:
+        session.close()
 
 
 @pytest.fixture
 def session() -> Iterator[Session]:
-    session = Session(HALL, ROBOT, POLICY)
-    session.clock.factor = math.inf
-    session.start()
-    yield session
-    session.close()
+    with lived(HALL, ROBOT, POLICY) as session:
+        yield session
 
 
 def wait_for(session: Session, wanted: Callable[[Any], object]) -> Any:
-    until_s = time.monotonic() + WAIT_LIMIT_S
-    while time.monotonic() < until_s:
+    """The first snapshot that is as wanted."""
+
+    def met() -> Any:
         snapshot = session.snapshot
-        if wanted(snapshot):
-            return snapshot
-        time.sleep(0.01)
-    raise AssertionError(f"waited {WAIT_LIMIT_S} s; now it is {session.snapshot.status}")
+        return snapshot if wanted(snapshot) else None
+
+    return wait_until(met)
 
 
 def box_at(x_m: float, y_m: float, size_m: float = 0.4) -> Obstacle:
@@ -98,22 +104,51 @@ def test_a_box_in_the_way_is_walked_around(session):
     after = wait_for(session, lambda now: now.replans >= 1 and now.plan is not before)
     near = np.abs(after.plan.pose_world[:, :2] - (1.9, 0.0)).max(axis=1)
     assert near.min() > 0.2
-    assert session._replanner.navigator.scene.model.body("walls").geomnum == 1
+    # Without walls in the physics there is no distance to one.
+    wait_for(session, lambda now: now.clearance_m is not None)
+
+
+class StubPlanner:
+    """Takes the place of the planner's process: answers when it is told to."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self._asked: Any = None
+        self._kept: list[Answer] = []
+
+    def ask(self, **asked: Any) -> int:
+        self.number += 1
+        self._asked = asked
+        return self.number
+
+    def answers(self) -> list[Answer]:
+        kept, self._kept = self._kept, []
+        return kept
+
+    def answer(self, *, is_last: bool) -> None:
+        plan = Planner(HALL, ROBOT.step_model).plan(**self._asked)
+        self._kept.append(Answer(number=self.number, plan=plan, is_last=is_last))
 
 
 def test_a_box_that_comes_while_a_walk_is_improved_begins_no_new_walk():
-    session = Session(HALL, ROBOT, POLICY)
-    try:
-        session._replanner.ask(AHEAD, fresh=True)
-        assert session._replanner.question is not None
-        session._replanner.plan_anew()
-        assert session._replanner.question.fresh
-        # Its first plan is walked already, the better one is still being thought of.
-        session._replanner._followed_number = session._replanner.question.number
-        session._replanner.plan_anew()
-        assert not session._replanner.question.fresh
-    finally:
-        session.close()
+    planner: Any = StubPlanner()
+    navigator = LiveNavigator(HALL, ROBOT, POLICY, start=(0, 0, 0), goal=(0, 0, 0))
+    navigator.tick()
+    replanner: Any = Replanner(planner, WalkHistory(), navigator)
+    replanner.ask(AHEAD, fresh=True)
+    planner.answer(is_last=True)
+    replanner.listen()
+    while navigator.replan_point().first_side is None:
+        navigator.tick()
+    replanner.ask((1.5, 0.0, 0.0), fresh=True)
+    replanner.plan_anew()
+    assert replanner.question.fresh
+    planner.answer(is_last=False)
+    replanner.listen()
+    # Its first plan is walked already, the better one is still being thought of.
+    assert navigator.goal == (1.5, 0.0, 0.0)
+    replanner.plan_anew()
+    assert not replanner.question.fresh
 
 
 def test_it_stops_where_the_way_is_closed(session):
@@ -175,10 +210,7 @@ def test_where_no_way_leads_the_nearest_place_with_one_is_offered():
     # A wall across the hall, from x = 1.5 m.
     cells = np.zeros((120, 160), np.uint8)
     cells[:, 70:74] = 1
-    session = Session(HALL.with_cells(cells), ROBOT, POLICY)
-    session.clock.factor = math.inf
-    session.start()
-    try:
+    with lived(HALL.with_cells(cells), ROBOT, POLICY) as session:
         session.go_to((3.0, 0.5, 0.0))
         told = wait_for(session, lambda now: now.notice)
         assert told.notice.text.startswith("no plan: ")
@@ -187,8 +219,6 @@ def test_where_no_way_leads_the_nearest_place_with_one_is_offered():
         assert 0.9 < x_m < 1.5
         session.go_to(told.notice.alternative)
         wait_for(session, lambda now: now.status == "walking" and now.notice is None)
-    finally:
-        session.close()
 
 
 def test_a_box_cannot_be_set_on_the_robot(session):
@@ -207,29 +237,24 @@ def test_it_rests_when_it_has_nowhere_to_go(session):
 def test_a_planner_that_dies_is_replaced(session):
     session.go_to(AHEAD)
     wait_for(session, lambda now: now.status == "walking")
-    session._planner.process.kill()
-    session._planner.process.join()
+    died = session.planner_pid
+    os.kill(died, signal.SIGKILL)
     session.go_to((1.5, 0.0, 0.0))
     wait_for(session, lambda now: now.goal[0] == 1.5)
+    assert session.planner_pid != died
 
 
 def test_a_planner_that_never_starts_is_given_up(monkeypatch):
     monkeypatch.setattr("app.viewer.planner_process.answer_questions", sys.exit)
-    session = Session(HALL, ROBOT, POLICY)
-
-    def load() -> None:
-        while not session.is_ready(wait_s=1.0):
-            pass
-
-    try:
-        with pytest.raises(RuntimeError, match="died 3 times"):
-            load()
-    finally:
-        session.close()
+    with (
+        contextlib.closing(Session(HALL, ROBOT, POLICY)) as session,
+        pytest.raises(RuntimeError, match="died 3 times"),
+    ):
+        wait_until(lambda: session.is_ready(wait_s=1.0))
 
 
 @pytest.mark.parametrize("name", ["ara", "rrtconnect"])
-def test_with_a_goal_it_walks_as_navigate_does(name):
+def test_with_a_goal_it_walks_as_navigate_does(name, monkeypatch):
     # The second plans in another process, because it would hold up this one.
     options = PlannerOptions(name=name, seed=3)
     config = NavigatorConfig(planner=options)
@@ -237,16 +262,16 @@ def test_with_a_goal_it_walks_as_navigate_does(name):
     walk.plan()
     while walk.outcome is None:
         walk.tick()
-    session = Session(HALL, ROBOT, POLICY, goal=AHEAD, seed=3, options=options)
-    assert isinstance(session._replanner.navigator._planner, BlockingPlanner) == (
-        name == "rrtconnect"
-    )
-    session.clock.factor = math.inf
-    session.start()
-    try:
+    made_here: list[Planner] = []
+
+    def make(*arguments: Any) -> Planner:
+        made_here.append(Planner(*arguments))
+        return made_here[-1]
+
+    monkeypatch.setattr("app.navigation.navigator.Planner", make)
+    with lived(HALL, ROBOT, POLICY, goal=AHEAD, seed=3, options=options) as session:
+        assert len(made_here) == (name == "ara")
         wait_for(session, lambda _now: session.ended is not None)
-    finally:
-        session.close()
     ended: Any = session.ended
     assert ended.outcome is walk.outcome
     assert len(ended.qpos) == len(walk.qpos)

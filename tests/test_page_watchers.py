@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,15 +15,8 @@ from app.viewer.camera import overview
 from app.viewer.page import Page, open_page, painted_in_background
 from app.viewer.snapshot import Notice, Snapshot
 from benchmarks.page_watcher import Watcher
-from controller.policy import POLICY_FOLDER, load_policy
-from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
-from sim.robots import get_robot
-
-ROBOT = get_robot("jvrc1")
-POLICY = load_policy(ROBOT, POLICY_FOLDER / "jvrc1.safetensors")
-HALL = OccupancyGrid(cells=np.zeros((120, 160), np.uint8), resolution_m=0.05, origin=(-2, -3, 0))
-WAIT_LIMIT_S = 300.0
+from tests.scenes import HALL, POLICY, ROBOT, wait_until
 
 
 class Served:
@@ -60,13 +52,6 @@ def served() -> Iterator[Served]:
     served = Served()
     yield served
     served.close()
-
-
-def wait_until(wanted: Callable[[], Any], what: str) -> None:
-    until_s = time.monotonic() + WAIT_LIMIT_S
-    while not wanted():
-        assert time.monotonic() < until_s, f"waited {WAIT_LIMIT_S} s in vain: {what}"
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("parting", ["close", "vanish", "sleep"])
@@ -240,10 +225,9 @@ def test_a_page_opens_as_quickly_after_ages_as_at_first(served):
     shown_walk(served.page, served.session.snapshot, 2, np.random.default_rng(1))
     watcher = Watcher(served.server.url)
     wait_until(lambda: watcher.heard["ReplayDoneMessage"], "all that was there has been sent")
-    nodes = served.server.scene._handle_from_node_name
     assert watcher.heard["SetPositionMessage"] > 10
     assert sum(watcher.heard[kind] for kind in watcher.heard if kind.endswith("MeshMessage")) > 10
-    assert len(nodes) > 20
+    assert len(watcher.heard_of) > 20
     before = watcher.heard["SetPositionMessage"]
     shown_walk(served.page, served.session.snapshot, 2, np.random.default_rng(2))
     wait_until(lambda: watcher.heard["SetPositionMessage"] > before, "news comes after that")
