@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from app.options import MapOptions, load_walker, read_grid
-from app.viewer.page import Page, open_page, painted_in_background
+from app.viewer.page import Page, open_page
 from app.viewer.session import Session
-from benchmarks.page_watcher import Watcher
+from benchmarks.page_watcher import Watcher, painted_in_background
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 

@@ -27,8 +27,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from app.options import MapOptions, load_walker, read_grid
-from app.viewer.page import Page, open_page, painted_in_background
-from benchmarks.page_watcher import Watcher
+from app.viewer.page import Page, open_page
+from benchmarks.page_watcher import Watcher, painted_in_background
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
 WAIT_LIMIT_S = 300.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -14,6 +14,8 @@ import viser
 import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+
+from app.viewer.page import Page
 
 _SEEN_M = (0.0, -5.0, 5.0)
 
@@ -100,3 +102,16 @@ class Watcher:
                     self.last[kind] = self.last_of[kind, name] = message
         except (ConnectionClosed, OSError):
             return
+
+
+@contextlib.contextmanager
+def painted_in_background(page: Page) -> Iterator[None]:
+    """Lets a thread of its own draw the page meanwhile."""
+    ends = threading.Event()
+    painter = threading.Thread(target=lambda: page.run(ends.is_set), name="painter")
+    painter.start()
+    try:
+        yield
+    finally:
+        ends.set()
+        painter.join()

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.viewer.page import Page, open_page, painted_in_background
+from app.viewer.page import Page, open_page
 from app.viewer.panel import SPEEDS
 from app.viewer.pointer import Tool
 from app.viewer.robot_scene import robot_meshes_of
-from benchmarks.page_watcher import Watcher
+from benchmarks.page_watcher import Watcher, painted_in_background
 from sim.scene import build_scene
 from tests.scenes import HALL, POLICY, ROBOT, wait_until
 

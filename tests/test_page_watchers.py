@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from app.viewer.camera import overview
-from app.viewer.page import Page, open_page, painted_in_background
+from app.viewer.page import Page, open_page
 from app.viewer.snapshot import Notice, Snapshot
-from benchmarks.page_watcher import Watcher
+from benchmarks.page_watcher import Watcher, painted_in_background
 from planner.plan import FootstepPlan
 from tests.scenes import HALL, POLICY, ROBOT, wait_until
 

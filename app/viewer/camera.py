@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -167,8 +167,8 @@ class _Visitor:
     is_upright: bool
     # Any: viser's types say that the value of a switch cannot be set.
     switch: Any
-    opened_s: float
-    aimed_s: float
+    opened_s: float = field(default_factory=time.monotonic)
+    aimed_s: float = field(default_factory=time.monotonic)
     follower: Follower | None = None
 
 
@@ -237,14 +237,8 @@ class Cameras:
             order=self._order,
             hint="On this page alone. Turn the view and come nearer as you like meanwhile.",
         )
-        aspect, now_s = client.camera.aspect, time.monotonic()
-        visitor = _Visitor(
-            client=client,
-            switch=switch,
-            is_upright=is_phone(aspect),
-            opened_s=now_s,
-            aimed_s=now_s,
-        )
+        aspect = client.camera.aspect
+        visitor = _Visitor(client=client, switch=switch, is_upright=is_phone(aspect))
         switch.on_update(lambda _event: self._switched(visitor))
         with self._lock:
             self._visitors[client.client_id] = visitor

@@ -18,7 +18,7 @@ from controller.step_cursor import STANCE
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
-from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, pair_pose
+from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, from_frame, pair_pose
 from planner.robot_model import Side
 from sim.scene import scene_of
 
@@ -43,15 +43,16 @@ class LiveNavigator(Navigator):
     """A navigator whose plans come from outside, whenever they are ready.
 
     In mid-step the robot cannot change its mind: a plan from `replan_point()` waits until the foot
-    in the air has landed. `tick()` goes on balancing the robot when there is nowhere to go;
-    `idle_s` is for how long it has.
+    in the air has landed: meanwhile it is `waiting`. `tick()` goes on balancing the robot when
+    there is nowhere to go; `idle_s` is for how long it has.
     """
 
     landings = 0
     idle_s = 0.0
     going = False
     halted = False
-    _waiting: tuple[FootstepPlan, int] | None = None
+    waiting: FootstepPlan | None = None
+    _waits_for = 0
 
     @property
     def has_ended(self) -> bool:
@@ -62,11 +63,6 @@ class LiveNavigator(Navigator):
     def rests(self) -> bool:
         """Whether there is nothing to simulate until it is told to go somewhere."""
         return self.has_ended or self.idle_s > _REST_AFTER_S
-
-    @property
-    def waiting(self) -> FootstepPlan | None:
-        """The plan that will be taken up when the foot in the air has landed."""
-        return None if self._waiting is None else self._waiting[0]
 
     def status(self, *, is_asking: bool) -> str:
         """What it does, in a word, or how it ended and why; `is_asking` for a plan."""
@@ -101,11 +97,10 @@ class LiveNavigator(Navigator):
 
         With `fresh` a new walk begins: what is known of the one before is forgotten.
         """
-        standing = bool(self.walker.cursor.standing[0])
-        now = replan_point.landing == self.landings and standing and replan_point.first_side is None
-        if not now and (
-            replan_point.first_side is None or replan_point.landing != self.landings + 1
-        ):
+        is_now = replan_point.first_side is None
+        if is_now and not self.walker.cursor.standing[0]:
+            return False
+        if replan_point.landing != self.landings + (not is_now):
             return False
         if fresh:
             self.plans, self.placed, self.followed = [], [], []
@@ -114,28 +109,29 @@ class LiveNavigator(Navigator):
         self.goal, self.outcome, self.reason = tuple(goal), None, ""
         self.going, self.halted, self.idle_s = True, False, 0.0
         self.plans.append(plan)
-        if now:
-            self._waiting = None
+        self.waiting, self._waits_for = None if is_now else plan, replan_point.landing
+        if is_now:
             self._follow(plan, wait_ticks=0, walking=False)
-        else:
-            self._waiting = plan, replan_point.landing
         return True
 
     def halt(self) -> None:
         """Puts the feet side by side as soon as it can, and stands there."""
         replan_point = self.replan_point()
         if replan_point.first_side is None:
-            self._waiting, self.going, self.halted, self.idle_s = None, False, True, 0.0
+            self.waiting, self.going, self.halted, self.idle_s = None, False, True, 0.0
             return
-        support = replan_point.feet_world[replan_point.first_side.other]
-        feet = _beside(support, replan_point.first_side, self.robot.step_model.stance_width_m)
+        side, width_m = replan_point.first_side, self.robot.step_model.stance_width_m
+        support = replan_point.feet_world[side.other]
+        middle = np.array([[0.0, side.outward * width_m / 2, 0.0]])
+        feet = feet_at(from_frame(middle, support[[0, 1, 3]])[0], width_m)
+        feet[:, 2] = support[2]
         feet = self._footing.at_rest(feet)
         plan = FootstepPlan(
             start_feet_world=replan_point.feet_world,
             start=finite_pose(pair_pose(replan_point.feet_world).tolist()),
             goal=finite_pose(pair_pose(feet).tolist()),
-            side=np.array([replan_point.first_side], np.int8),
-            pose_world=feet[replan_point.first_side][None],
+            side=np.array([side], np.int8),
+            pose_world=feet[side][None],
         )
         self.go(plan.goal, plan, replan_point, fresh=False)
         self.halted = True
@@ -166,21 +162,11 @@ class LiveNavigator(Navigator):
 
     def _landed(self, placed: Placed) -> None:
         self.landings += 1
-        waiting, self._waiting = self._waiting, None
+        waiting, self.waiting = self.waiting, None
         super()._landed(placed)
         replanned = self.followed and self.followed[-1][0] == self.time_s
-        if waiting is not None and waiting[1] == self.landings and not replanned:
-            self._follow(waiting[0], wait_ticks=0, walking=True)
-
-
-def _beside(support: np.ndarray, side: Side, width_m: float) -> np.ndarray:
-    """Both feet (2, 4) of a robot that stands with its other foot at the pose support (4,)."""
-    x_m, y_m, z_m, yaw_rad = support
-    half_m = side.outward * width_m / 2
-    middle = (x_m - half_m * np.sin(yaw_rad), y_m + half_m * np.cos(yaw_rad), yaw_rad)
-    feet = feet_at(middle, width_m)
-    feet[:, 2] = z_m
-    return feet
+        if waiting is not None and self._waits_for == self.landings and not replanned:
+            self._follow(waiting, wait_ticks=0, walking=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -325,8 +311,8 @@ class Replanner:
             self.ask(question.goal, fresh=question.fresh)
 
     def _no_plan(self, question: Question, answer: Answer) -> None:
-        seen, reason = question.in_the_way, answer.plan.reason
-        text = f"no plan: {seen} stands there" if seen else f"no plan: {reason}"
+        seen = question.in_the_way
+        text = "no plan: " + (f"{seen} stands there" if seen else answer.plan.reason)
         self.notice = Notice(text=text, refused=question.goal, alternative=answer.alternative)
         if not question.fresh:
             # The way that it was on is no more.

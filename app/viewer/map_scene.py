@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 
 from maps.grid import Cell, OccupancyGrid
-from maps.terraces import plates_of, terraces_of
+from maps.terraces import Terraces, plates_of, terraces_of
 from sim.scene import WALL_HEIGHT_M
 
 FLOOR_RGB = (205, 208, 212)
@@ -29,18 +28,14 @@ FloatArray = NDArray[np.float64]
 Rgb = tuple[int, int, int]
 
 
-class Mesh(NamedTuple):
-    """Triangles: vertices_m (V, 3), faces (F, 3), counter-clockwise as seen from outside."""
+def solid(
+    boxes: FloatArray, *, base_m: float, rise_m: float, cell_m: float
+) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Vertices (V, 3) and triangles (F, 3), counter-clockwise as seen from outside, of boxes.
 
-    vertices_m: FloatArray
-    faces: NDArray[np.int64]
-
-
-def solid(boxes: FloatArray, *, base_m: float, rise_m: float, cell_m: float) -> Mesh:
-    """Boxes (n, 5) of `maps.terraces` as they are seen from above, each `rise_m` above its height.
-
-    They stand on `base_m`, and on whole cells of the side `cell_m`. There are no faces where two of
-    them touch: their edges would flicker through the tops.
+    boxes (n, 5) as in `maps.terraces`; they rise `rise_m` above their heights, from `base_m`, and
+    cover whole cells of the side `cell_m`. There are no faces below, nor where two of them touch:
+    their edges would flicker through the tops.
     """
     edges = np.round(
         np.stack([boxes[:, :2] - boxes[:, 2:4], boxes[:, :2] + boxes[:, 2:4]], axis=1) / cell_m
@@ -51,22 +46,17 @@ def solid(boxes: FloatArray, *, base_m: float, rise_m: float, cell_m: float) -> 
     top_m = np.full((rows, cols), base_m)
     for ((x0, y0), (x1, y1)), reach_m in zip(edges - first, tops_m, strict=True):
         top_m[y0:y1, x0:x1] = reach_m
+    (x0, y0), (x1, y1) = cell_m * edges.transpose(1, 2, 0)
+    lids = np.stack([x0, x1, x1, x0, y0, y0, y1, y1, *[tops_m] * 4], axis=1)
     upright = [_upright(top_m, first, cell_m, axis) for axis in (0, 1)]
-    quads = np.concatenate([_lids(edges, tops_m, cell_m), *upright])
-    return Mesh(quads.reshape(-1, 3), quad_faces(len(quads)))
+    quads = np.concatenate([lids.reshape(-1, 3, 4).transpose(0, 2, 1), *upright])
+    return quads.reshape(-1, 3), quad_faces(len(quads))
 
 
 def quad_faces(count: int) -> NDArray[np.int64]:
     """Two triangles for each four vertices, (2 * count, 3)."""
     corner = 4 * np.arange(count)[:, None, None]
     return (corner + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
-
-
-def _lids(edges: NDArray[np.int64], tops_m: FloatArray, cell_m: float) -> FloatArray:
-    """The tops, (n, 4, 3)."""
-    (x0, y0), (x1, y1) = cell_m * edges.transpose(1, 2, 0)
-    xs, ys = np.stack([x0, x1, x1, x0], axis=1), np.stack([y0, y0, y1, y1], axis=1)
-    return np.stack([xs, ys, np.repeat(tops_m[:, None], 4, axis=1)], axis=2)
 
 
 def _upright(top_m: FloatArray, first: NDArray[np.int64], cell_m: float, axis: int) -> FloatArray:
@@ -109,7 +99,6 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     """Draws the map; returns a slab of the size of the floor, to be clicked on.
 
     The slab lies out of sight below the floor, because browsers colour what the pointer is on.
-
     Everything hangs below the node `/map`, which is the grid frame: metres from the lower-left
     corner of the map.
     """
@@ -142,41 +131,31 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
         position=(*centre, lowest_m + _LINES_HEIGHT_M),
         shadow_opacity=0.0,
     )
-    unknown = plates_of(grid, grid.cells == Cell.UNKNOWN)
-    _add_boxes(scene, grid, "/map/walls", terraces.walls, lowest_m, WALL_HEIGHT_M, WALL_RGB)
-    _add_boxes(scene, grid, "/map/unknown", unknown, lowest_m, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB)
-    _add_ground(scene, grid, terraces.ground, lowest_m)
+    plates = plates_of(grid, grid.cells == Cell.UNKNOWN)
+    for name, boxes, rise_m, rgb in (
+        ("walls", terraces.walls, WALL_HEIGHT_M, WALL_RGB),
+        ("unknown", plates, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB),
+        *_ground_by_shade(terraces),
+    ):
+        if len(boxes):
+            mesh = solid(boxes, base_m=lowest_m, rise_m=rise_m, cell_m=grid.resolution_m)
+            scene.add_mesh_simple(
+                f"/map/{name}",
+                mesh[0].astype(np.float32),
+                mesh[1].astype(np.uint32),
+                color=rgb,
+                flat_shading=True,
+            )
     return slab
 
 
-def _add_ground(
-    scene: viser.SceneApi, grid: OccupancyGrid, boxes: np.ndarray, lowest_m: float
-) -> None:
-    """The floor that is higher than the lowest, the higher the browner."""
-    rise_m = boxes[:, 4] - lowest_m
-    shades = np.ceil(_SHADES * rise_m / max(rise_m, default=1.0)).astype(int)
+def _ground_by_shade(terraces: Terraces) -> Iterator[tuple[str, FloatArray, float, Rgb]]:
+    """The floor that is higher than the lowest, browner with height: name, boxes, rise, colour."""
+    above_m = terraces.ground[:, 4] - terraces.lowest_m
+    shades = np.ceil(_SHADES * above_m / max(above_m, default=1.0)).astype(int)
     for shade in range(1, _SHADES + 1):
         rgb = blended(FLOOR_RGB, HIGHEST_RGB, shade / _SHADES)
-        name = f"/map/ground/{shade}"
-        _add_boxes(scene, grid, name, boxes[shades == shade], lowest_m, 0.0, rgb)
-
-
-def _add_boxes(
-    scene: viser.SceneApi,
-    grid: OccupancyGrid,
-    name: str,
-    boxes: np.ndarray,
-    lowest_m: float,
-    height_m: float,
-    rgb: Rgb,
-) -> None:
-    """Boxes (n, 5) of `maps.terraces` that rise so much above their height, as one mesh."""
-    if len(boxes) == 0:
-        return
-    vertices, faces = solid(boxes, base_m=lowest_m, rise_m=height_m, cell_m=grid.resolution_m)
-    scene.add_mesh_simple(
-        name, vertices.astype(np.float32), faces.astype(np.uint32), color=rgb, flat_shading=True
-    )
+        yield f"ground/{shade}", terraces.ground[shades == shade], 0.0, rgb
 
 
 def blended(rgb: Rgb, other: Rgb, share: float) -> Rgb:

@@ -42,13 +42,19 @@ class Footprints:
         self._sheets: dict[str, _Sheet] = {}
         length_m, width_m = foot.length_m, foot.width_m
         x_m, y_m = (length_m - _EDGE_M) / 2, (width_m - _EDGE_M) / 2
-        self._plate = _rectangles((0, 0, length_m, width_m))
-        self._edge = _rectangles(
+        plate = _rectangles((0, 0, length_m, width_m))
+        edge = _rectangles(
             (0, y_m, length_m, _EDGE_M),
             (0, -y_m, length_m, _EDGE_M),
             (x_m, 0, _EDGE_M, width_m),
             (-x_m, 0, _EDGE_M, width_m),
         )
+        # Of each kind its rectangles in the frame of a foot, height, and how pale it is.
+        self._looks = {
+            "planned": (plate, _PLANNED_Z_M, 0.35),
+            "next": (plate, _NEXT_Z_M, 0.0),
+            "placed": (edge, _PLACED_Z_M, 0.0),
+        }
 
     def clear(self) -> None:
         """Takes all footprints away, and the path."""
@@ -60,12 +66,12 @@ class Footprints:
         """Shows the steps of a plan after the first `done`; the next two are those in full."""
         side, pose_world = _NO_STEPS if plan is None else (plan.side, plan.pose_world)
         near, far = slice(done, done + 2), slice(done + 2, None)
-        self._show("planned", self._plate, side[far], pose_world[far], _PLANNED_Z_M, paleness=0.35)
-        self._show("next", self._plate, side[near], pose_world[near], _NEXT_Z_M)
+        self._show("planned", side[far], pose_world[far])
+        self._show("next", side[near], pose_world[near])
 
     def placed(self, side: np.ndarray, pose_world: np.ndarray) -> None:
         """Shows where feet came to rest: side (N,), pose_world (N, 4) x, y, z, yaw."""
-        self._show("placed", self._edge, side, pose_world, _PLACED_Z_M)
+        self._show("placed", side, pose_world)
 
     def path(self, xy_world: np.ndarray) -> None:
         """Shows where the body was: points (T, 2)."""
@@ -80,26 +86,16 @@ class Footprints:
         ground_m = np.maximum(self._grid.height_m(begin), self._grid.height_m(end))
         self._sheet("/path", _PATH_Z_M, PATH_RGB).show(corners, ground_m)
 
-    def _show(
-        self,
-        kind: str,
-        shape: np.ndarray,
-        side: np.ndarray,
-        pose_world: np.ndarray,
-        height_m: float,
-        paleness: float = 0.0,
-    ) -> None:
-        """Draws the shape (R, 4, 2), rectangles in the frame of a foot, at each pose."""
+    def _show(self, kind: str, side: np.ndarray, pose_world: np.ndarray) -> None:
+        shape, height_m, paleness = self._looks[kind]
         for foot in Side:
             poses = pose_world[np.asarray(side) == foot]
             cos, sin = np.cos(poses[:, 3]), np.sin(poses[:, 3])
             turn = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], axis=1)
             corners = np.einsum("rki,nij->nrkj", shape, turn) + poses[:, None, None, :2]
-            name = f"/steps/{kind}_{foot.name.lower()}"
-            ground_m = np.repeat(poses[:, 2], len(shape))
-            self._sheet(name, height_m, blended(SIDE_RGB[foot], FLOOR_RGB, paleness)).show(
-                corners, ground_m
-            )
+            rgb = blended(SIDE_RGB[foot], FLOOR_RGB, paleness)
+            sheet = self._sheet(f"/steps/{kind}_{foot.name.lower()}", height_m, rgb)
+            sheet.show(corners, np.repeat(poses[:, 2], len(shape)))
 
     def _sheet(self, name: str, height_m: float, rgb: Rgb) -> _Sheet:
         if name not in self._sheets:
@@ -127,23 +123,20 @@ class _Sheet:
         xy = corners.reshape(-1, 2)
         needed = len(xy) // 4
         if self._mesh is None or needed > self._room:
-            self._mesh = self._with_room_for(needed)
+            self._room = max(_ROOM, 2 * needed)
+            self._mesh = self._scene.add_mesh_simple(
+                self._name,
+                np.zeros((4 * self._room, 3), np.float32),
+                quad_faces(self._room).astype(np.uint32),
+                color=self._rgb,
+                side="double",
+                cast_shadow=False,
+            )
         vertices = np.zeros((4 * self._room, 3), np.float32)
         vertices[:, 2] = _OUT_OF_SIGHT_M
         vertices[: len(xy), :2] = xy
         vertices[: len(xy), 2] = np.repeat(ground_m, 4) + self._height_m
         self._mesh.vertices = vertices
-
-    def _with_room_for(self, count: int) -> viser.MeshHandle:
-        self._room = max(_ROOM, 2 * count)
-        return self._scene.add_mesh_simple(
-            self._name,
-            np.zeros((4 * self._room, 3), np.float32),
-            quad_faces(self._room).astype(np.uint32),
-            color=self._rgb,
-            side="double",
-            cast_shadow=False,
-        )
 
 
 def _rectangles(*rectangles: tuple[float, float, float, float]) -> np.ndarray:

@@ -27,10 +27,6 @@ class Obstacle:
     size_x_m: float
     size_y_m: float
 
-    def moved_to(self, x_m: float, y_m: float) -> Obstacle:
-        """The same box elsewhere."""
-        return replace(self, x_m=x_m, y_m=y_m)
-
     def distance_m(self, x_m: float, y_m: float) -> float:
         """How far a point of the grid frame is from the box; 0 inside."""
         away_x = max(abs(x_m - self.x_m) - self.size_x_m / 2, 0.0)
@@ -113,7 +109,7 @@ class ObstacleEditor:
             return
         self._can_move = can_move
         for number, drawn in self._drawn.items():
-            self._listen(number, drawn)
+            self._listen(number)
             # Whoever was dragging it has let go.
             drawn.position = self._middle(self._obstacles[number])
 
@@ -131,8 +127,15 @@ class ObstacleEditor:
         if why := self._is_refused(obstacle):
             self._on_refused(why)
             return
-        self._obstacles[obstacle.number] = obstacle
-        self._draw(obstacle)
+        drawn = self._scene.add_box(
+            f"/map/box_{obstacle.number}",
+            color=BOX_RGB,
+            dimensions=(obstacle.size_x_m, obstacle.size_y_m, WALL_HEIGHT_M),
+            position=self._middle(obstacle),
+        )
+        drawn.on_click(self._on_click)
+        self._obstacles[obstacle.number], self._drawn[obstacle.number] = obstacle, drawn
+        self._listen(obstacle.number)
         self._changed()
 
     def remove_last(self) -> None:
@@ -157,19 +160,8 @@ class ObstacleEditor:
     def _changed(self) -> None:
         self._on_change(tuple(self._obstacles.values()))
 
-    def _draw(self, obstacle: Obstacle) -> None:
-        number = obstacle.number
-        drawn = self._scene.add_box(
-            f"/map/box_{number}",
-            color=BOX_RGB,
-            dimensions=(obstacle.size_x_m, obstacle.size_y_m, WALL_HEIGHT_M),
-            position=self._middle(obstacle),
-        )
-        self._drawn[number] = drawn
-        drawn.on_click(self._on_click)
-        self._listen(number, drawn)
-
-    def _listen(self, number: int, drawn: viser.BoxHandle) -> None:
+    def _listen(self, number: int) -> None:
+        drawn = self._drawn[number]
         if not self._can_move:
             drawn.remove_drag_callback("all")
             return
@@ -196,11 +188,10 @@ class ObstacleEditor:
         if point is None:
             return
         if event.phase == "start":
-            self._grab = self._grid.world_to_grid(event.start_position[:2]) - np.array(
-                [before.x_m, before.y_m]
-            )
+            middle = np.array([before.x_m, before.y_m])
+            self._grab = self._grid.world_to_grid(event.start_position[:2]) - middle
         x_m, y_m = (float(value) for value in self._grid.world_to_grid(point) - self._grab)
-        moved = snapped(before.moved_to(x_m, y_m), self._grid)
+        moved = snapped(replace(before, x_m=x_m, y_m=y_m), self._grid)
         if event.phase != "end":
             drawn.position = (x_m, y_m, drawn.position[2])
             return

@@ -41,8 +41,6 @@ from sim.robots import robot_names
 FRAMES_PER_S = 30.0
 # Nobody watches: just so often that whoever comes sees what is.
 _UNSEEN_FRAMES_PER_S = 4.0
-TEXT_EVERY_S = 0.25
-PLOT_EVERY_S = 0.5
 _NOTICE_FOR_S = 6.0
 _IN_THE_WAY = {WALL: "a wall", 0: "a box"}
 
@@ -53,8 +51,8 @@ class Page:
     Words are shown anew every `text_every_s`, plots every `plot_every_s`, all else at every frame.
     """
 
-    text_every_s = TEXT_EVERY_S
-    plot_every_s = PLOT_EVERY_S
+    text_every_s = 0.25
+    plot_every_s = 0.5
 
     def __init__(
         self,
@@ -66,19 +64,21 @@ class Page:
     ) -> None:
         self.server, self.session, self._load = server, session, load
         self._grid, self._tool = session.setup.bare_grid, Tool.GOAL
-        self._notice: tuple[float, Notice] | None = None
+        self._notice: Notice | None = None
+        self._notice_until_s = 0.0
         self._shown: Snapshot | None = None
         self._text_s = self._plot_s = 0.0
         self._drawing = threading.Lock()
         scene, grid, robot = server.scene, self._grid, session.setup.robot
+        self._bare_surface = surface_of(grid)
         self._pointer = FloorPointer(
             add_floor(scene, grid),
-            surface_of(grid),
+            self._bare_surface,
             on_pose=self._pointed,
             meets_robot=self._meets_robot,
             on_drag=self._hold_camera,
         )
-        self._pose_markers = PoseMarkers(scene, self._pointer.height_m)
+        self._pose_markers = PoseMarkers(scene, lambda pose: self._pointer.surface.height_m(pose))
         self.obstacle_editor = ObstacleEditor(
             scene,
             grid,
@@ -134,7 +134,7 @@ class Page:
         now_s = time.monotonic()
         if now_s - self._text_s >= self.text_every_s:
             self._text_s = now_s
-            self.panel.show(snapshot, self._own_notice(now_s))
+            self.panel.show(snapshot, self._notice if now_s < self._notice_until_s else None)
         if now_s - self._plot_s >= self.plot_every_s:
             self._plot_s = now_s
             self.panel.plots.show_forces(self.session.history.forces())
@@ -148,13 +148,8 @@ class Page:
             footprints.path(new.path_world)
             self.panel.plots.show_errors(new.placed_side, new.foot_error_m)
 
-    def _own_notice(self, now_s: float) -> Notice | None:
-        if self._notice is not None and now_s - self._notice[0] > _NOTICE_FOR_S:
-            self._notice = None
-        return None if self._notice is None else self._notice[1]
-
     def _say(self, text: str) -> None:
-        self._notice = time.monotonic(), Notice(text=text)
+        self._notice, self._notice_until_s = Notice(text=text), time.monotonic() + _NOTICE_FOR_S
 
     def _use(self, tool: Tool) -> None:
         self._tool = tool
@@ -191,7 +186,7 @@ class Page:
         return self._robot_scene.hit_distance_m(origin, direction), where
 
     def _boxes_changed(self, obstacles: Sequence[Obstacle]) -> None:
-        self._pointer.see_boxes(obstacles)
+        self._pointer.surface = self._bare_surface.with_boxes(obstacles)
         self.session.set_obstacles(obstacles)
 
     def _hold_camera(self, client_id: int) -> None:
@@ -247,16 +242,3 @@ def open_page(
         session = Session(grid, robot, policy, start=start, goal=goal, options=options, seed=seed)
         stack.callback(session.close)
         yield Page(server, session, robots=robot_names(), load=load)
-
-
-@contextlib.contextmanager
-def painted_in_background(page: Page) -> Iterator[None]:
-    """Lets a thread of its own draw the page meanwhile."""
-    ends = threading.Event()
-    painter = threading.Thread(target=lambda: page.run(ends.is_set), name="painter")
-    painter.start()
-    try:
-        yield
-    finally:
-        ends.set()
-        painter.join()

@@ -112,24 +112,18 @@ class Panel:
         if text != self._text:
             self._text = self._status.content = text
         notice = unheard or snapshot.notice
-        is_news = notice != self._heard
-        self._show_poses(snapshot, notice if is_news else None)
-        if is_news:
-            self._show_notice(notice)
-
-    def _show_poses(self, snapshot: Snapshot, news: Notice | None) -> None:
-        """Start and goal as they hold, also where something was typed that has just been refused.
-
-        As long as there is no goal at all the refused one stays, to be corrected.
-        """
-        refused = None if news is None else news.refused
-        is_start = news is not None and news.puts_robot
+        is_news, self._heard = notice != self._heard, notice
+        refused = notice.refused if notice is not None and is_news else None
+        is_start = notice is not None and notice.puts_robot
+        # Poses as they hold, also where something was typed that has just been refused. As long as
+        # there is no goal at all the refused one stays, to be corrected.
         self.start.show(snapshot.start, anew=refused is not None and is_start)
         goal = snapshot.requested or snapshot.goal or (None if is_start else refused)
         self.goal.show(goal, anew=refused is not None and not is_start)
+        if is_news:
+            self._show_notice(notice)
 
     def _show_notice(self, notice: Notice | None) -> None:
-        self._heard = notice
         self.notice.content = "" if notice is None else f"⚠️ {notice.text}"
         self.notice.visible = notice is not None
         self._take_offer.visible = notice is not None and notice.alternative is not None

@@ -130,9 +130,8 @@ class _Planners(NamedTuple):
 def _planners(world: World) -> _Planners:
     quick = replace(world.options, stop_at_first=True)
     thorough = replace(world.options, time_limit_s=POLISH_S)
-    return _Planners(
-        *(Planner(world.grid, world.model, o) for o in (quick, thorough, world.options))
-    )
+    ways = quick, thorough, world.options
+    return _Planners(*(Planner(world.grid, world.model, options) for options in ways))
 
 
 def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -> None:
@@ -176,8 +175,7 @@ def place_to_stand(world: World, pose: Pose) -> tuple[str, Pose | None]:
 def _nearest_reachable_pose(world: World, planner: Planner, asked: Asked) -> Pose | None:
     """The pose nearest to a free goal without a way to which there is one.
 
-    Only places are tried to which a disk as wide as the body can roll from the start, and few of
-    them.
+    Few are tried, and only where a disk as wide as the body can roll from the start.
     """
     grid, model, goal = world.grid, world.model, asked["goal"]
     terrain = terrain_of(grid, world.options.unknown_is_free)
@@ -345,10 +343,7 @@ class PlannerProcess:
 
 @dataclass(frozen=True)
 class BlockingPlanner:
-    """Asks a planner in another process and waits until it is done, as if it were in this one.
-
-    For planners that would hold Python's global lock, and so the page, for as long as they plan.
-    """
+    """Waits for a planner that in this process would hold Python's global lock, and so the page."""
 
     process: PlannerProcess
 

@@ -74,7 +74,10 @@ class Surface:
 
         Beyond the map's edge there is floor as low as the lowest. What the ray begins in is glass.
         """
-        begin, along = self._in_grid(origin, direction)
+        begin, end = np.array(origin, float), np.add(origin, direction)
+        for point in (begin, end):
+            point[:2] = self.grid.world_to_grid(point[:2])
+        along = end - begin
         cuts = self._cuts(begin, along)
         if len(cuts) > 1:
             middle = begin[:2] + (cuts[:-1, None] + cuts[1:, None]) / 2 * along[:2]
@@ -94,12 +97,6 @@ class Surface:
             return None
         share = (float(self.top_m.min()) - begin[2]) / along[2]
         return self._at(begin + share * along, FLOOR)
-
-    def _in_grid(self, origin: ArrayLike, direction: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        begin, end = np.array(origin, float), np.add(origin, direction)
-        for point in (begin, end):
-            point[:2] = self.grid.world_to_grid(point[:2])
-        return begin, end - begin
 
     def _cuts(self, begin: FloatArray, along: FloatArray) -> FloatArray:
         """Where the ray, as seen from above, enters and leaves cells of the map, in its lengths."""
@@ -157,12 +154,12 @@ class Pointed(NamedTuple):
 
 
 class FloorPointer:
-    """Turns clicks and drags on the map into poses.
+    """Turns clicks and drags on the map into poses; with the tool LOOK a drag turns the camera.
 
     `on_pose(pointed, on, is_final)` is called also while a drag goes on; a click leaves the heading
     open. `on` says what was hit, see `SurfaceHit`. `on_drag(client_id)` is called for each piece of
     a drag. `meets_robot(origin, direction)` says how far along a ray the robot is met, and where it
-    stands. With the tool LOOK a drag on the floor turns the camera.
+    stands; `surface` is what else it may meet.
     """
 
     def __init__(
@@ -177,7 +174,7 @@ class FloorPointer:
         self._on_pose, self._on_drag, self._meets_robot = on_pose, on_drag, meets_robot
         # What the drag of each page began on.
         self._begun: dict[int, SurfaceHit | None] = {}
-        self._bare = self._surface = surface
+        self.surface = surface
         self._floor, self._drags = floor, False
         floor.on_click(self.clicked)
         self.use(Tool.GOAL)
@@ -193,14 +190,6 @@ class FloorPointer:
             self._floor.on_drag("left")(self._dragged)
         else:
             self._floor.remove_drag_callback("all")
-
-    def see_boxes(self, obstacles: Iterable[Obstacle]) -> None:
-        """These boxes stand on the map from now on."""
-        self._surface = self._bare.with_boxes(obstacles)
-
-    def height_m(self, place: Sequence[float]) -> float:
-        """How high floor, wall or box at a point of the world reaches."""
-        return self._surface.height_m(place)
 
     # Coroutines are awaited one after the other; functions could overtake one another.
     async def clicked(self, event: viser.SceneNodePointerEvent) -> None:
@@ -227,7 +216,7 @@ class FloorPointer:
             self._on_pose(toward((met.x_m, met.y_m), point), met.on, event.phase == "end")
 
     def _met(self, origin: ArrayLike, direction: ArrayLike) -> SurfaceHit | None:
-        met = self._surface.met(origin, direction)
+        met = self.surface.met(origin, direction)
         away_m, robot = self._meets_robot(origin, direction)
         if met is None:
             return robot if math.isfinite(away_m) else None

@@ -83,9 +83,7 @@ class _Stage:
     """Shows one moment of a story; what has not changed since the last is not sent again."""
 
     def __init__(self, robot_scene: RobotScene, footprints: Footprints) -> None:
-        self._robot_scene = robot_scene
-        self._footprints = footprints
-        self._shown = (-1, -1)
+        self._robot_scene, self._footprints, self._shown = robot_scene, footprints, (-1, -1)
 
     def show(self, story: Story, moment: int) -> None:
         self._robot_scene.pose(story.recording.qpos[moment])

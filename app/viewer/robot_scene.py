@@ -24,22 +24,13 @@ Rgb = tuple[int, int, int]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
-    """Triangles of one colour in the frame of their body: vertices (V, 3) in m, faces (F, 3)."""
-
-    vertices_m: np.ndarray
-    faces: np.ndarray
-    rgb: Rgb
-
-
-@dataclass(frozen=True, kw_only=True)
 class RobotMeshes:
-    """What a robot looks like: the model's bodies that are drawn, by name, and their parts."""
+    """What a robot looks like: the model's bodies that are drawn, and their triangles by colour."""
 
     model: mujoco.MjModel
     body_ids: np.ndarray
     names: tuple[str, ...]
-    parts: tuple[tuple[Part, ...], ...]
+    parts: tuple[dict[Rgb, Any], ...]
 
     def poses(self, qpos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions (N, 3) in m and quaternions (N, 4) w, x, y, z in the world at qpos (nq,)."""
@@ -78,7 +69,10 @@ def robot_meshes_of(robot: Robot) -> RobotMeshes:
         model=model,
         body_ids=np.array(body_ids),
         names=tuple(model.body(body).name for body in body_ids),
-        parts=tuple(_parts(gathered[body]) for body in body_ids),
+        parts=tuple(
+            {rgb: trimesh.util.concatenate(shapes) for rgb, shapes in gathered[body].items()}
+            for body in body_ids
+        ),
     )
 
 
@@ -86,21 +80,8 @@ def _drawn_group(model: mujoco.MjModel) -> int:
     return VISUAL_GROUP if np.any(model.geom_group == VISUAL_GROUP) else PHYSICS_GROUP
 
 
-def _parts(by_colour: dict[Rgb, list[trimesh.Trimesh]]) -> tuple[Part, ...]:
-    parts = []
-    for rgb, shapes in by_colour.items():
-        whole: Any = trimesh.util.concatenate(shapes)
-        vertices_m, faces = np.array(whole.vertices), np.array(whole.faces)
-        parts.append(Part(vertices_m=vertices_m, faces=faces, rgb=rgb))
-    return tuple(parts)
-
-
 def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
-    """The geom's triangles in the frame of its body.
-
-    Raises:
-        ValueError: The geom is of a kind that robots do not have so far.
-    """
+    """The geom's triangles in the frame of its body; a ValueError for kinds that no robot has."""
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
     size = model.geom_size[geom]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
@@ -138,12 +119,13 @@ class RobotScene:
         self._posed = np.zeros(0)
         for name, parts in zip(meshes.names, meshes.parts, strict=True):
             self._bodies.append(scene.add_frame(f"{ROOT}/{name}", show_axes=False))
-            for index, part in enumerate(parts):
+            for index, (rgb, shape) in enumerate(parts.items()):
+                vertices, faces = np.array(shape.vertices), np.array(shape.faces)
                 scene.add_mesh_simple(
                     f"{ROOT}/{name}/{index}",
-                    part.vertices_m.astype(np.float32),
-                    part.faces.astype(np.uint32),
-                    color=part.rgb,
+                    vertices.astype(np.float32),
+                    faces.astype(np.uint32),
+                    color=rgb,
                     side="double",
                 )
 

@@ -47,8 +47,8 @@ def make_thread_safe(buffer: Any) -> None:
 def skip_superseded(buffer: Any) -> None:
     """Lets a page that opens get what this buffer keeps without a look at what it does not.
 
-    viser numbers all messages that there ever were, keeps the latest of each kind, and looks every
-    number up whenever a page opens: half a second for each hour that a robot walked.
+    viser looks up all messages that there ever were whenever a page opens: half a second for each
+    hour that a robot walked.
     """
     buffer._window_loop = partial(windows, buffer)
 

@@ -39,8 +39,7 @@ _SNAPSHOT_EVERY_S = 1 / 60
 class SimulationClock:
     """Real-time pacing: when the next tick is due. `factor` is simulated over real time; 0 pauses.
 
-    `factor` may be set from any thread. While `is_idle`, there is nothing to
-    hurry for: time passes no faster than on the wall.
+    It may be set from any thread. While `is_idle`, time passes no faster than on the wall.
     """
 
     def __init__(
@@ -117,16 +116,14 @@ class WalkSetup:
         """What is planned over."""
         return World(grid=self.grid, model=self.robot.step_model, options=self.options)
 
-    def navigator(
-        self, *, goal: Pose | None = None, planner: FootstepPlanner | None
-    ) -> LiveNavigator:
-        """A robot that stands at the start, with a goal or without; None plans in this process."""
+    def navigator(self, goal: Pose, planner: FootstepPlanner | None) -> LiveNavigator:
+        """A robot that stands at the start; without a planner it plans in this process."""
         return LiveNavigator(
             self.grid,
             self.robot,
             self.policy,
             start=self.start,
-            goal=self.start if goal is None else goal,
+            goal=goal,
             seed=self.seed,
             config=NavigatorConfig(planner=self.options),
             planner=planner,
@@ -297,9 +294,8 @@ class Session:
         except Exception as error:
             traceback.print_exc()
             self._replanner.navigator.idle_s = math.inf
-            self._replanner.notice = Notice(
-                text=f"a fault of the program: {error}; reset the robot"
-            )
+            text = f"a fault of the program: {error}; reset the robot"
+            self._replanner.notice = Notice(text=text)
 
     def _tick(self) -> None:
         navigator = self._replanner.navigator
@@ -315,9 +311,9 @@ class Session:
 
     def _show(self) -> None:
         """Now and then, and as soon as there is an answer."""
-        answer = self._replanner.answer_of
-        if answer != self._shown_answer or time.monotonic() - self._shown_s >= _SNAPSHOT_EVERY_S:
-            self._shown_s, self._shown_answer = time.monotonic(), answer
+        answer, now_s = self._replanner.answer_of, time.monotonic()
+        if answer != self._shown_answer or now_s - self._shown_s >= _SNAPSHOT_EVERY_S:
+            self._shown_s, self._shown_answer = now_s, answer
             self.snapshot = self._take_snapshot()
 
     def _take_snapshot(self) -> Snapshot:
@@ -354,7 +350,7 @@ class Session:
 
     def _standing(self) -> LiveNavigator:
         """A robot that stands at the start."""
-        navigator = self.setup.navigator(planner=self._planner)
+        navigator = self.setup.navigator(self.setup.start, self._planner)
         # Sensors tell of the step before: there must be one.
         navigator.tick()
         return navigator
@@ -362,8 +358,8 @@ class Session:
     def _walking(self, goal: Pose) -> LiveNavigator:
         """A robot with a goal that plans for itself, in this process if that is quick."""
         is_slow = self.setup.options.name in SAMPLING_PLANNERS
-        planner: FootstepPlanner | None = BlockingPlanner(self._planner) if is_slow else None
-        navigator = self.setup.navigator(goal=goal, planner=planner)
+        planner = BlockingPlanner(self._planner) if is_slow else None
+        navigator = self.setup.navigator(goal, planner)
         navigator.going = navigator.plan().found
         self.ended = None if navigator.going else copy.copy(navigator)
         return navigator

@@ -12,13 +12,15 @@ from controller.gait import CONTROL_PERIOD_S
 from planner.plan import FootstepPlan, Pose
 from sim.clearance import min_clearance_m
 
+FORCE_WINDOW_S = 6.0
+_PATH_EVERY_TICKS = 10
+
 
 @dataclass(frozen=True, kw_only=True)
 class Notice:
-    """Something that went wrong, for people, and a pose that would do instead, if one is known.
+    """Something that went wrong, in words, and a pose that would do instead, if one is known.
 
-    What was refused and what is on offer are goals, or with `puts_robot` places for the robot to
-    begin anew.
+    Both poses are goals, or with `puts_robot` places for the robot to begin anew.
     """
 
     text: str
@@ -34,9 +36,8 @@ class Snapshot:
     `start` is where a reset puts the robot, `goal` where it walks or has walked to, `requested` a
     goal that is being planned for. `done` steps of `plan` have been taken.
     placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
-    path_world (T, 2) of the body. `speed` is simulated over real time as it is reached; `answer_s`
-    the real time from question to plan. `walk` counts walks: another number means that a new one
-    has begun.
+    path_world (T, 2) of the body, four points a second. `speed` is simulated over real time as it
+    is reached; `answer_s` the real time from question to plan. `walk` counts the walks begun.
     """
 
     qpos: np.ndarray
@@ -60,17 +61,10 @@ class Snapshot:
     notice: Notice | None = None
 
 
-# What the plots and the footprints show of a walk: kept short, whatever the page is open for.
-
-FORCE_WINDOW_S = 6.0
-_PATH_EVERY_TICKS = 10
-
-
 class WalkHistory:
-    """Filled by the physics; the arrays are replaced, never changed, so any thread may read them.
+    """What plots and footprints show of a walk, filled by the physics; arrays as in `Snapshot`.
 
-    placed_side (N,), placed_world (N, 4), foot_error_m (N,): the steps of this walk.
-    path_world (T, 2): the way of the body, four points a second. walk: how many have begun.
+    They are replaced, never changed, so any thread may read them.
     """
 
     def __init__(self) -> None:
