@@ -20,84 +20,72 @@ PROGRAM = "python main.py"
 
 @dataclass(frozen=True)
 class Command:
-    """One command, by name only: its module is imported when the command is asked for.
+    """One command as the list of commands tells of it; `load_run` imports what it does.
 
     Attributes:
-        run: `module:function`; the function takes a dataclass, whose fields are the options and
-            whose docstring heads the help, and returns the exit code.
         summary: One line for the list of commands.
         example: A command line that works, without `python main.py`.
         draws: Whether it may draw the robot. It then settles the GL library itself, before it
             imports MuJoCo (`prepare_gl` in sim/gl.py); for others rendering is off.
     """
 
-    run: str
     summary: str
     example: str
     draws: bool = False
-
-    def load_run(self) -> Callable[[Any], int]:
-        """The function that carries the command out."""
-        module, _, name = self.run.partition(":")
-        run: Callable[[Any], int] = getattr(importlib.import_module(module), name)
-        return run
-
-    def load_options(self) -> type[Any]:
-        """The dataclass of the options."""
-        options: type[Any] = typing.get_type_hints(self.load_run())["options"]
-        return options
 
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
         "dataset": Command(
-            "app.commands.dataset:run",
             "plan footsteps to many random goals: a corpus to train on",
             "dataset --count 1000 --out runs/corpus",
         ),
         "dataset check": Command(
-            "app.commands.dataset:run_check",
             "check every step of a corpus by independent geometry",
             "dataset check runs/corpus",
         ),
         "evaluate": Command(
-            "app.commands.evaluate:run",
             "measure how well a policy walks, as one report with figures",
             "evaluate --robot jvrc1 --out runs/evaluate",
         ),
         "export": Command(
-            "app.commands.export:run",
             "write a policy as one ONNX file for other programs",
             "export --robot jvrc1 --out policy.onnx",
         ),
         "navigate": Command(
-            "app.commands.navigate:run",
             "plan, walk the plan in MuJoCo with the trained policy, report",
             "navigate --map maps/room.png --goal 2,1,1.57",
             draws=True,
         ),
         "plan": Command(
-            "app.commands.plan:run",
             "plan footsteps from a start to a goal on a map",
             "plan --map maps/room.png --goal 2,1,1.57 --image plan.png",
         ),
         "serve": Command(
-            "app.commands.serve:run",
             "open a web page: click a goal and watch the robot walk there",
             "serve --map maps/room.png",
         ),
         "train": Command(
-            "app.commands.train:run",
             "train the policy that walks",
             "train --robot jvrc1 --out runs/train",
         ),
         "trials": Command(
-            "app.commands.trials:run",
             "walk many random pairs of start and goal on a map",
             "trials --map maps/room.png --count 100",
         ),
     }
 )
+
+
+def load_run(name: str) -> tuple[Callable[[Any], int], type[Any]]:
+    """The function that carries a command out, and the dataclass of its options.
+
+    `dataset check` is `run_check` in app/commands/dataset.py. It takes the dataclass, whose fields
+    are the options and whose docstring heads the help, and returns the exit code.
+    """
+    module, *rest = name.split()
+    run = getattr(importlib.import_module(f"app.commands.{module}"), "_".join(["run", *rest]))
+    return run, typing.get_type_hints(run)["options"]
 
 
 def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
@@ -152,17 +140,15 @@ def _dispatch(arguments: list[str], program: str) -> int:
     # Here and not above: reading options costs an import that the overview does without.
     from app.options import parse_options
 
+    run, kind = load_run(name)
     options = parse_options(
-        command.load_options(),
-        rest,
-        program=f"{program} {name}",
-        example=f"{program} {command.example}",
+        kind, rest, program=f"{program} {name}", example=f"{program} {command.example}"
     )
     if not command.draws:
         from sim.gl import switch_gl_off
 
         switch_gl_off()
-    return command.load_run()(options)
+    return run(options)
 
 
 @contextlib.contextmanager

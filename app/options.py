@@ -87,75 +87,6 @@ parse_reach = _reader(
 )
 
 
-def number(
-    *, at_least: float | None = None, above: float | None = None
-) -> PrimitiveConstructorSpec[float]:
-    """Reads a finite number within bounds, for `Annotated[float, ...]`."""
-    return _number(float, "NUMBER", "a number", at_least=at_least, above=above)
-
-
-def whole_number(*, at_least: int | None = None) -> PrimitiveConstructorSpec[int]:
-    """Reads a whole number within bounds, for `Annotated[int, ...]`."""
-    return _number(int, "COUNT", "a whole number", at_least=at_least, above=None)
-
-
-def choice(*names: str) -> PrimitiveConstructorSpec[str]:
-    """Reads one of the names, for `Annotated[str, ...]`."""
-
-    def read(words: list[str]) -> str:
-        if words[0] not in names:
-            raise ValueError(f"{words[0]!r} is not one of {', '.join(names)}")
-        return words[0]
-
-    return _spec("|".join(names), read)
-
-
-def some_of(*names: str) -> PrimitiveConstructorSpec[tuple[str, ...]]:
-    """Reads some of the names with commas between, for `Annotated[tuple[str, ...], ...]`."""
-
-    def read(words: list[str]) -> tuple[str, ...]:
-        chosen = [word.strip() for word in words[0].split(",")]
-        for word in chosen:
-            if word not in names:
-                raise ValueError(f"{word!r} is not one of {', '.join(names)}")
-        return tuple(name for name in names if name in chosen)
-
-    return _spec("NAME,NAME,...", read)
-
-
-def text(metavar: str) -> PrimitiveConstructorSpec[str]:
-    """Reads any text, for `Annotated[str, ...]`; the metavar stands for it in the help."""
-    return _spec(metavar, lambda words: words[0])
-
-
-def _number(
-    kind: Callable[[str], Any],
-    metavar: str,
-    noun: str,
-    *,
-    at_least: float | None,
-    above: float | None,
-) -> PrimitiveConstructorSpec[Any]:
-    wanted = noun
-    if at_least is not None:
-        wanted += f" of at least {at_least}"
-    if above is not None:
-        wanted += f" above {above}"
-
-    def read(words: list[str]) -> Any:
-        try:
-            value = kind(words[0])
-        except ValueError:
-            value = math.nan
-        # A comparison with nan is false, so each test names what is right, not what is wrong.
-        large_enough = at_least is None or value >= at_least
-        if not (math.isfinite(value) and large_enough and (above is None or value > above)):
-            raise ValueError(f"{words[0]!r} is not {wanted}")
-        return value
-
-    return _spec(metavar, read)
-
-
 def _show(value: object) -> list[str]:
     """A value as the help shows it and as it would be typed."""
     if value is None or value == ():
@@ -167,35 +98,91 @@ def _show(value: object) -> list[str]:
     return [str(value)]
 
 
-def _spec(metavar: str, read: Callable[[list[str]], Any]) -> PrimitiveConstructorSpec[Any]:
+def text(
+    metavar: str, read: Callable[[str], Any] = lambda word: word
+) -> PrimitiveConstructorSpec[Any]:
+    """Reads one word as it is, or by a function; the metavar stands for it in the help."""
     return PrimitiveConstructorSpec(
         nargs=1,
         metavar=metavar,
-        instance_from_str=read,
+        instance_from_str=lambda words: read(words[0]),
         is_instance=lambda value: True,
         str_from_instance=_show,
     )
 
 
-_POSE = _spec("X,Y,YAW", lambda words: parse_pose(words[0]))
+def number(
+    *, at_least: float | None = None, above: float | None = None, whole: bool = False
+) -> PrimitiveConstructorSpec[Any]:
+    """Reads a finite number within bounds, for `Annotated[float, ...]`."""
+    wanted = "a whole number" if whole else "a number"
+    if at_least is not None:
+        wanted += f" of at least {at_least}"
+    if above is not None:
+        wanted += f" above {above}"
+
+    def read(word: str) -> Any:
+        try:
+            value = int(word) if whole else float(word)
+        except ValueError:
+            value = math.nan
+        # A comparison with nan is false, so each test names what is right, not what is wrong.
+        large_enough = at_least is None or value >= at_least
+        if not (math.isfinite(value) and large_enough and (above is None or value > above)):
+            raise ValueError(f"{word!r} is not {wanted}")
+        return value
+
+    return text("COUNT" if whole else "NUMBER", read)
+
+
+def whole_number(*, at_least: int) -> PrimitiveConstructorSpec[Any]:
+    """Reads a whole number within bounds, for `Annotated[int, ...]`."""
+    return number(at_least=at_least, whole=True)
+
+
+def choice(*names: str) -> PrimitiveConstructorSpec[Any]:
+    """Reads one of the names, for `Annotated[str, ...]`."""
+    return text("|".join(names), lambda word: _one_of(names, word))
+
+
+def some_of(*names: str) -> PrimitiveConstructorSpec[Any]:
+    """Reads some of the names with commas between, for `Annotated[tuple[str, ...], ...]`."""
+
+    def read(words: str) -> tuple[str, ...]:
+        chosen = [_one_of(names, word.strip()) for word in words.split(",")]
+        return tuple(name for name in names if name in chosen)
+
+    return text("NAME,NAME,...", read)
+
+
+def _one_of(names: Sequence[str], word: str) -> str:
+    if word not in names:
+        raise ValueError(f"{word!r} is not one of {', '.join(names)}")
+    return word
+
+
+_POSE = text("X,Y,YAW", parse_pose)
 PoseOption = Annotated[Pose, _POSE]
 OptionalPose = Annotated[Pose | None, _POSE]
 PosesOption = Annotated[
     tuple[Pose, ...],
-    _spec("X,Y,YAW:X,Y,YAW...", lambda words: tuple(map(parse_pose, words[0].split(":")))),
+    text("X,Y,YAW:X,Y,YAW...", lambda word: tuple(map(parse_pose, word.split(":")))),
 ]
-OptionalInterval = Annotated[
-    Interval | None, _spec("LOW,HIGH", lambda words: parse_interval(words[0]))
-]
-ReachOption = Annotated[Reach, _spec("M,RAD", lambda words: parse_reach(words[0]))]
+OptionalInterval = Annotated[Interval | None, text("LOW,HIGH", parse_interval)]
+ReachOption = Annotated[Reach, text("M,RAD", parse_reach)]
 OptionalLength = Annotated[float | None, number(above=0)]
-OptionalTime = Annotated[float | None, number(above=0)]
-_FILE, _FOLDER = (_spec(metavar, lambda words: Path(words[0])) for metavar in ("FILE", "DIR"))
+OptionalTime = OptionalLength
+_FILE, _FOLDER = text("FILE", Path), text("DIR", Path)
 FileOption = Annotated[Path, _FILE]
 OptionalFile = Annotated[Path | None, _FILE]
 FolderOption = Annotated[Path, _FOLDER]
 FolderArgument = Annotated[Path, _FOLDER, tyro.conf.Positional]
 OptionalFolder = Annotated[Path | None, _FOLDER]
+RobotName = Annotated[str, text("NAME")]
+PaceOption = Annotated[str, choice(*PACES)]
+SeedOption = Annotated[int, whole_number(at_least=0)]
+WorkersOption = Annotated[int, whole_number(at_least=0)]
+CountOption = Annotated[int, whole_number(at_least=1)]
 
 
 def parse_options(
@@ -308,9 +295,6 @@ class GoalOptions(MapOptions):
     """How far from the goal, and how far turned, a cheaper plan may end, such as 0.05,0.08."""
 
 
-RobotName = Annotated[str, text("NAME")]
-
-
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
     """Which robot, and who moves it."""
@@ -332,7 +316,7 @@ class PlanningOptions(RobotOptions, MapOptions):
     refine: bool = True
     """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
 
-    seed: Annotated[int, whole_number(at_least=0)] = 0
+    seed: SeedOption = 0
     """Seed of everything random, such as 7."""
 
     def planner_options(self, **others: Any) -> PlannerOptions:
@@ -344,9 +328,6 @@ class PlanningOptions(RobotOptions, MapOptions):
             seed=self.seed,
             **others,
         )
-
-
-PaceOption = Annotated[str, choice(*PACES)]
 
 
 def read_grid(options: MapOptions) -> OccupancyGrid:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import pytest
 
-from app.cli import COMMANDS, PROGRAM
+from app.cli import COMMANDS, PROGRAM, load_run
 from app.options import (
     FolderArgument,
     OptionalFile,
@@ -231,7 +231,7 @@ def test_help_shows_every_option_its_default_and_an_example(capsys):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_for_every_option(name, capsys):
     command = COMMANDS[name]
-    kind = command.load_options()
+    _, kind = load_run(name)
     with pytest.raises(SystemExit):
         parse_options(kind, ["--help"], program=name, example=f"{PROGRAM} {command.example}")
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())
@@ -253,5 +253,6 @@ def test_every_example_is_one_that_the_command_takes(name):
     command = COMMANDS[name]
     assert command.example.startswith(f"{name} ")
     words = command.example.removeprefix(f"{name} ").split()
-    parse_options(command.load_options(), words, program=name, example="")
-    assert callable(command.load_run())
+    run, kind = load_run(name)
+    parse_options(kind, words, program=name, example="")
+    assert callable(run)

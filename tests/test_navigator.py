@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from app.commands.trials import TrialSettings, draw_trials, summarise, table, walk_one
+from app.commands.trials import TrialsOptions, draw_trials, summarise, table, walk_one
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
@@ -168,23 +169,24 @@ def test_time_runs_out():
     assert "still walking after" in walker.reason
 
 
-@pytest.fixture(scope="module")
-def settings() -> TrialSettings:
-    return TrialSettings(grid=empty_map(4.0), robot="jvrc1")
+def trials_options(**options) -> TrialsOptions:
+    return TrialsOptions(map=Path("drawn"), **options)
 
 
-def test_trials_are_drawn_apart_and_repeat(settings):
-    trials = draw_trials(settings, 5, 1.0, seed=3)
-    assert trials == draw_trials(settings, 5, 1.0, seed=3)
-    assert trials != draw_trials(settings, 5, 1.0, seed=4)
+def test_trials_are_drawn_apart_and_repeat():
+    options = trials_options(count=5, apart=1.0, seed=3)
+    trials = draw_trials(empty_map(4.0), options)
+    assert trials == draw_trials(empty_map(4.0), options)
+    assert trials != draw_trials(empty_map(4.0), replace(options, seed=4))
     for trial in trials:
         assert np.hypot(*np.subtract(trial.goal[:2], trial.start[:2])) >= 1.0
 
 
-def test_trials_walk_and_are_summed_up_by_outcome(settings):
-    trials = draw_trials(settings, 2, 0.3, seed=0)
+def test_trials_walk_and_are_summed_up_by_outcome():
+    options = trials_options(count=2, apart=0.3)
+    trials = draw_trials(empty_map(4.0), options)
     near = [replace(t, goal=(t.start[0], t.start[1], t.start[2] + 0.2)) for t in trials]
-    results = [walk_one(settings, trial) for trial in near]
+    results = [walk_one(empty_map(4.0), options, trial) for trial in near]
     summary = summarise(results)
     assert summary["walks"] == summary["reached"] == 2
     assert summary["steps_taken"] == sum(len(r["foot_errors_m"]) for r in results) > 0
@@ -316,8 +318,7 @@ def test_a_robot_that_stops_keeps_to_the_height_of_its_tread():
 
 
 def test_trials_are_drawn_on_level_ground_only():
-    settings = TrialSettings(grid=STAIRS, robot="jvrc1")
-    trials = draw_trials(settings, 30, 5.0, 0)
+    trials = draw_trials(STAIRS, trials_options(count=30, apart=5.0))
     poses = [pose for trial in trials for pose in (trial.start, trial.goal)]
     footing = Footing(STAIRS, ROBOT.step_model, False)
     assert len(poses) == 60

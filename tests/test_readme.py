@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from app.cli import COMMANDS
+from app.cli import COMMANDS, load_run
 from app.options import parse_options
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -47,7 +47,7 @@ def test_every_command_line_is_one_that_is_taken():
         name, *words = shlex.split(line)
         if f"{name} {' '.join(words[:1])}" in COMMANDS:
             name, words = f"{name} {words[0]}", words[1:]
-        parse_options(COMMANDS[name].load_options(), words, program=name, example="")
+        parse_options(load_run(name)[1], words, program=name, example="")
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -19,16 +19,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from app.navigation.report import installed_versions
 from app.options import (
+    CountOption,
     FolderArgument,
     FolderOption,
     Interval,
     MapOptions,
     OptionalFile,
     OptionalInterval,
-    OptionalLength,
     OptionalPose,
     Pose,
     RobotName,
+    SeedOption,
+    WorkersOption,
     choice,
     find_robot,
     read_grid,
@@ -72,7 +74,7 @@ _SHOWN = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class DatasetOptions:
+class DatasetOptions(MapOptions):
     """Plan footsteps to many random goals: a corpus to train on.
 
     Without a map every plan begins at 0,0,0 on an empty floor and ends up to 2 m ahead, up to 1 m
@@ -84,13 +86,13 @@ class DatasetOptions:
     out: FolderOption
     """Folder of the corpus, such as runs/corpus; made when missing."""
 
-    count: Annotated[int, whole_number(at_least=1)] = 1000
+    count: CountOption = 1000
     """How many plans, such as 1000."""
 
     robot: RobotName = "jvrc1"
     """Whose footsteps, such as jvrc1."""
 
-    seed: Annotated[int, whole_number(at_least=0)] = 0
+    seed: SeedOption = 0
     """Seed of all that is drawn, such as 7."""
 
     goal_x: OptionalInterval = None
@@ -108,17 +110,8 @@ class DatasetOptions:
     obstacles: Annotated[int, whole_number(at_least=0)] = 0
     """Boxes of random size and place for each plan anew, such as 5."""
 
-    map: OptionalFile = None
+    map: OptionalFile = None  # type: ignore[assignment]  # here a map is not needed
     """Draw start and goal on this map, such as maps/room.png."""
-
-    resolution: OptionalLength = None
-    """Metres per pixel, such as 0.05, for a map image without a YAML; wins over the YAML's."""
-
-    origin: OptionalPose = None
-    """Pose of the map's lower-left corner, such as -4,-3,0; wins over the YAML's."""
-
-    unknown_is_free: bool = False
-    """Let the robot step on cells of which the map says neither free nor occupied."""
 
     planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
     """Which search, such as ara."""
@@ -126,7 +119,7 @@ class DatasetOptions:
     refine: bool = False
     """Move the steps of each plan off the lattice to where they cost less."""
 
-    workers: Annotated[int, whole_number(at_least=0)] = 0
+    workers: WorkersOption = 0
     """Processes that plan, such as 2; 0 for all cores."""
 
     format: Annotated[str, choice(*FORMATS)] = "npz"
@@ -150,7 +143,7 @@ class DatasetCheckOptions:
     robot: Annotated[str | None, text("NAME")] = None
     """Check against this robot as it is now, such as jvrc1; none: as the manifest tells."""
 
-    workers: Annotated[int, whole_number(at_least=0)] = 0
+    workers: WorkersOption = 0
     """Processes that check, such as 2; 0 for all cores."""
 
     json: bool = False
@@ -162,11 +155,15 @@ def run(options: DatasetOptions) -> int:
     began = time.perf_counter()
     robot = find_robot(options.robot)
     wanted = wanted_plans(options, robot)
+    # Here and not above: wrong input need not wait for matplotlib.
+    from app.pictures.dataset_pictures import write_contact_sheet, write_histograms
+
     with folder_to_fill(options.out) as folder:
         drawn = draw(wanted, options.count, options.workers)
         drawn_s = time.perf_counter() - began
         corpus = corpus_of([d.plan for d in drawn if d.plan], robot.name, [d.box for d in drawn])
-        corpus.save(folder, manifest_of(options, wanted, drawn))
+        manifest = manifest_of(options, wanted, drawn)
+        corpus.save(folder, manifest)
         if options.map is not None:
             copy_map(
                 find_map(options.map, resolution_m=options.resolution, origin=options.origin),
@@ -174,11 +171,18 @@ def run(options: DatasetOptions) -> int:
             )
         if options.format == "lhw":
             write_text(folder / TEXT, lhw_text(corpus, wanted.model.stance_width_m))
-        write_pictures(folder, corpus, wanted)
+        one_scale = wanted.start is not None
+        write_contact_sheet(folder / SHEET, corpus, wanted.grid, wanted.model, one_scale=one_scale)
+        write_histograms(folder / HISTOGRAMS, corpus, wanted.model)
         document = (folder / MANIFEST).read_text(encoding="utf-8")
     if options.json:
         print(document, end="")
-    say(summary(drawn, drawn_s, time.perf_counter() - began))
+    count, expansions = len(corpus), manifest["expansions"]
+    say(
+        f"{count} plans with {len(corpus.side)} steps in {drawn_s:.1f} s "
+        f"({count / drawn_s:.0f} plans/s, {expansions / drawn_s:.0f} expansions/s), "
+        f"{time.perf_counter() - began:.1f} s in all; {manifest['draws'] - count} draws refused"
+    )
     return ExitCode.DONE
 
 
@@ -197,28 +201,20 @@ def wanted_plans(options: DatasetOptions, robot: Robot) -> RandomPlans:
                 "--resolution, --origin and --unknown-is-free are about a map: give --map too"
             )
         start = start or ORIGIN
-        x, y = options.goal_x or GOAL_X_M, options.goal_y or GOAL_Y_M
-        yaw = options.goal_yaw or GOAL_YAW_RAD
+        x, y, yaw = options.goal_x or GOAL_X_M, options.goal_y or GOAL_Y_M, GOAL_YAW_RAD
         corners = (x.low, y.low, 0.0), (x.high, y.high, 0.0)
         grid = floor_around([*corners, start], robot.step_model)
     else:
-        grid = read_grid(
-            MapOptions(
-                map=options.map,
-                resolution=options.resolution,
-                origin=options.origin,
-                unknown_is_free=options.unknown_is_free,
-            )
-        )
+        grid = read_grid(options)
         x0, y0, x1, y1 = grid.bounds_world()
         x, y = options.goal_x or Interval(x0, x1), options.goal_y or Interval(y0, y1)
-        yaw = options.goal_yaw or ANY_HEADING
+        yaw = ANY_HEADING
     return RandomPlans(
         grid=grid,
         model=robot.step_model,
         goal_x_m=x,
         goal_y_m=y,
-        goal_yaw_rad=yaw,
+        goal_yaw_rad=options.goal_yaw or yaw,
         start=start,
         obstacles=options.obstacles,
         seed=options.seed,
@@ -245,19 +241,16 @@ def draw(wanted: RandomPlans, count: int, workers: int) -> list[Drawn]:
         for some in in_order(functools.partial(random_plans, wanted), jobs, workers):
             for one in some:
                 if one.plan is None:
-                    raise InputError(_why_none(len(drawn), one))
+                    total = one.refused.total()
+                    causes = ", ".join(f"{n} {cause}" for cause, n in one.refused.most_common())
+                    raise InputError(
+                        f"plan {len(drawn)} cannot be drawn: {total} of {total} draws of start and "
+                        f"goal failed ({causes}); the last one: {one.reason}; try other ranges or "
+                        "fewer obstacles"
+                    )
                 drawn.append(one)
             bar.update(len(drawn))
     return drawn
-
-
-def _why_none(number: int, failed: Drawn) -> str:
-    total = failed.refused.total()
-    causes = ", ".join(f"{count} {cause}" for cause, count in failed.refused.most_common())
-    return (
-        f"plan {number} cannot be drawn: {total} of {total} draws of start and goal failed "
-        f"({causes}); the last one: {failed.reason}; try other ranges or fewer obstacles"
-    )
 
 
 def manifest_of(options: DatasetOptions, wanted: RandomPlans, drawn: list[Drawn]) -> dict[str, Any]:
@@ -287,18 +280,6 @@ def manifest_of(options: DatasetOptions, wanted: RandomPlans, drawn: list[Drawn]
     }
 
 
-def summary(drawn: list[Drawn], drawn_s: float, whole_s: float) -> str:
-    """How much was made and how fast, in one line."""
-    steps = sum(len(one.plan) for one in drawn if one.plan)
-    expansions = sum(one.plan.expansions for one in drawn if one.plan)
-    refused = sum(one.refused.total() for one in drawn)
-    return (
-        f"{len(drawn)} plans with {steps} steps in {drawn_s:.1f} s "
-        f"({len(drawn) / drawn_s:.0f} plans/s, {expansions / drawn_s:.0f} expansions/s), "
-        f"{whole_s:.1f} s in all; {refused} draws refused"
-    )
-
-
 def lhw_text(corpus: Corpus, stance_width_m: float) -> str:
     """The plans as the text that the paper's reference code reads.
 
@@ -323,17 +304,6 @@ def lhw_text(corpus: Corpus, stance_width_m: float) -> str:
         lines += [",".join(repr(float(value)) for value in step) for step in steps]
         lines.append("---")
     return "\n".join(lines) + "\n"
-
-
-def write_pictures(folder: Path, corpus: Corpus, wanted: RandomPlans) -> None:
-    """The contact sheet of some plans and the histograms of all steps."""
-    # Here and not above: wrong input need not wait for matplotlib.
-    from app.pictures.dataset_pictures import write_contact_sheet, write_histograms
-
-    write_contact_sheet(
-        folder / SHEET, corpus, wanted.grid, wanted.model, one_scale=wanted.start is not None
-    )
-    write_histograms(folder / HISTOGRAMS, corpus, wanted.model)
 
 
 @contextlib.contextmanager
@@ -415,6 +385,6 @@ def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
     with ProgressBar("plans", len(corpus)) as bar:
         found = in_order(functools.partial(check_plans, rules), jobs, workers)
         for numbers, lines in zip(portion_of, found, strict=True):
-            wrong.update({n: those for n, those in zip(numbers, lines, strict=True) if those})
+            wrong |= {n: those for n, those in zip(numbers, lines, strict=True) if those}
             bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
     return wrong

@@ -107,17 +107,16 @@ def run(options: NavigateOptions) -> int:
             options = dataclasses.replace(options, video=None, strip=None, gait_strip=None)
     else:
         switch_gl_off()
-
-    return walk_and_report(options)
-
-
-def walk_and_report(options: NavigateOptions) -> int:
-    """Carries the command out; returns the exit code."""
     started = time.perf_counter()
     _require_reachable(options)
     grid = read_grid(options)
     robot, policy = load_walker(options.robot, options.policy, options.pace)
-    _check_outputs(options)
+    # Before the walk and not after it.
+    make_folder(options.out, option="--out")
+    require_writable(options.html, option="--html", endings=(".html", ".htm"))
+    require_writable(options.video, option="--video", endings=(".mp4",))
+    require_writable(options.strip, option="--strip", endings=PICTURE_ENDINGS)
+    require_writable(options.gait_strip, option="--gait-strip", endings=PICTURE_ENDINGS)
     with ExitStack() as stack:
         if options.view:
             navigator = stack.enter_context(viewed(options, grid, robot, policy))
@@ -175,21 +174,13 @@ def _require_reachable(options: NavigateOptions) -> None:
     from app.navigation.navigator import GOAL_TOLERANCE_M, GOAL_TOLERANCE_RAD
 
     most = Reach(GOAL_TOLERANCE_M / 2, GOAL_TOLERANCE_RAD / 2)
-    if options.goal_tolerance.m > most.m or options.goal_tolerance.rad > most.rad:
-        asked = ",".join(f"{value:g}" for value in options.goal_tolerance)
+    asked = options.goal_tolerance
+    if asked.m > most.m or asked.rad > most.rad:
         raise InputError(
-            f"--goal-tolerance {asked} is more than {most.m:g},{most.rad:.2g}: a goal is reached "
-            f"within {GOAL_TOLERANCE_M:g} m and {math.degrees(GOAL_TOLERANCE_RAD):g} degrees"
+            f"--goal-tolerance {asked.m:g},{asked.rad:g} is more than {most.m:g},{most.rad:.2g}: "
+            f"a goal is reached within {GOAL_TOLERANCE_M:g} m and "
+            f"{math.degrees(GOAL_TOLERANCE_RAD):g} degrees"
         )
-
-
-def _check_outputs(options: NavigateOptions) -> None:
-    """Find out before the walk, not after it, that a file cannot be written or drawn."""
-    make_folder(options.out, option="--out")
-    require_writable(options.html, option="--html", endings=(".html", ".htm"))
-    require_writable(options.video, option="--video", endings=(".mp4",))
-    require_writable(options.strip, option="--strip", endings=PICTURE_ENDINGS)
-    require_writable(options.gait_strip, option="--gait-strip", endings=PICTURE_ENDINGS)
 
 
 def _write(
@@ -243,16 +234,8 @@ def _draw(
     if options.video is not None:
         write_film(options.video, scene.model, recording, marks=marks)
     if options.strip is not None:
-        write_strip(
-            options.strip,
-            scene.model,
-            recording,
-            columns=4,
-            view=FOLLOW,
-            width=400,
-            height=360,
-            marks=marks,
-        )
+        size = {"columns": 4, "width": 400, "height": 360}
+        write_strip(options.strip, scene.model, recording, view=FOLLOW, marks=marks, **size)
     if options.gait_strip is not None:
         middle_s = recording.time_s[-1] / 2
         end_s = middle_s + 2 * robot.gait.step_s

@@ -75,37 +75,42 @@ class PlanOptions(PlanningOptions, GoalOptions):
 
 def run(options: PlanOptions) -> int:
     """Carries the command out; returns the exit code."""
-    _check_outputs(options)
+    # Before the search and not after it.
+    require_writable(options.out, option="--out")
+    require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
+    require_writable(options.search_image, option="--search-image", endings=FIGURE_ENDINGS)
+    require_writable(options.refine_image, option="--refine-image", endings=PICTURE_ENDINGS)
+    if options.refine_image is not None and not options.refine:
+        raise InputError("--refine-image shows what refinement does: leave out --no-refine")
     search = _search(options)
     robot = find_robot_with_limits(options.robot, options.policy)
-    grid = read_grid(options)
+    model, grid = robot.step_model, read_grid(options)
 
     # Here and not above: the compiled search takes a second to load, bad input need not wait.
     from planner.planner import Planner, plan_through
 
-    planner = Planner(grid, robot.step_model, search)
-    plan = plan_through(planner, start=options.start, poses=[*options.via, options.goal])
-    plan = dataclasses.replace(plan, robot=robot.name, map=str(options.map))
+    def planned(planner: Planner) -> FootstepPlan:
+        return plan_through(planner, start=options.start, poses=[*options.via, options.goal])
+
+    planner = Planner(grid, model, search)
+    plan = dataclasses.replace(planned(planner), robot=robot.name, map=str(options.map))
     text = plan.to_json() + "\n"
     if options.out is not None:
         write_text(options.out, text)
-    if options.image is not None:
-        from app.pictures.plan_pictures import plan_picture
+    if options.image or options.search_image or options.refine_image:
+        from app.pictures import plan_pictures as pictures
 
-        write_picture(options.image, plan_picture(grid, robot.step_model, plan))
-    if options.search_image is not None and planner.record is not None:
-        from app.pictures.plan_pictures import write_search_picture
-
-        cell_m = robot.step_model.cell_m
-        write_search_picture(options.search_image, grid, plan, planner.record, cell_m)
-    if options.refine_image is not None and plan.found:
-        from app.pictures.plan_pictures import refinement_picture
-
-        unrefined = dataclasses.replace(planner.options, refine=False)
-        searched = Planner(grid, robot.step_model, unrefined)
-        before = plan_through(searched, start=options.start, poses=[*options.via, options.goal])
-        picture = refinement_picture(grid, robot.step_model, before, plan)
-        write_picture(options.refine_image, picture)
+        if options.image is not None:
+            write_picture(options.image, pictures.plan_picture(grid, model, plan))
+        if options.search_image is not None and planner.record is not None:
+            pictures.write_search_picture(
+                options.search_image, grid, plan, planner.record, model.cell_m
+            )
+        if options.refine_image is not None and plan.found:
+            unrefined = dataclasses.replace(planner.options, refine=False)
+            before = planned(Planner(grid, model, unrefined))
+            picture = pictures.refinement_picture(grid, model, before, plan)
+            write_picture(options.refine_image, picture)
     if options.json:
         print(text, end="")
     elif plan.expansions or plan.found:
@@ -113,16 +118,6 @@ def run(options: PlanOptions) -> int:
     if not plan.found:
         say(f"no plan: {plan.status}: {plan.reason}")
     return ExitCode.DONE if plan.found else ExitCode.NO_PLAN
-
-
-def _check_outputs(options: PlanOptions) -> None:
-    """Find out before the search, not after it, that a file cannot be written or drawn."""
-    require_writable(options.out, option="--out")
-    require_writable(options.image, option="--image", endings=PICTURE_ENDINGS)
-    require_writable(options.search_image, option="--search-image", endings=FIGURE_ENDINGS)
-    require_writable(options.refine_image, option="--refine-image", endings=PICTURE_ENDINGS)
-    if options.refine_image is not None and not options.refine:
-        raise InputError("--refine-image shows what refinement does: leave out --no-refine")
 
 
 def _search(options: PlanOptions) -> PlannerOptions:
@@ -150,15 +145,11 @@ def summary(plan: FootstepPlan) -> str:
     )
     if not plan.found:
         return effort
+    bound = f"at most {plan.epsilon:.2f} times the least there is on the lattice"
+    if plan.epsilon == 1.0:
+        bound = "which is the least there is on the lattice"
+    elif not math.isfinite(plan.epsilon):
+        bound = "which may be far from the least"
     before_m = plan.cost_before_refinement_m
     refined = "" if before_m is None else f" refined from {before_m:.2f} m"
-    steps = f"{len(plan)} steps, cost {plan.cost_m:.2f} m{refined}"
-    return f"{steps}, {_bound(plan.epsilon)}\n{effort}"
-
-
-def _bound(epsilon: float) -> str:
-    if epsilon == 1.0:
-        return "which is the least there is on the lattice"
-    if not math.isfinite(epsilon):
-        return "which may be far from the least"
-    return f"at most {epsilon:.2f} times the least there is on the lattice"
+    return f"{len(plan)} steps, cost {plan.cost_m:.2f} m{refined}, {bound}\n{effort}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from app.options import (
     FileOption,
@@ -21,9 +21,6 @@ from app.output import InputError, ProgressBar, say
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from sim.robot import Robot
-
-if TYPE_CHECKING:
-    from app.viewer.session import Session
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,20 +71,16 @@ def run(options: ServeOptions) -> int:
         seed=options.seed,
         load=load,
     ) as page:
-        _load_planner(page.session)
+        # Returns when the first click would be answered as soon as any.
+        began_s = time.monotonic()
+        with ProgressBar("loading the planner", None) as bar:
+            while not page.session.is_ready(wait_s=0.2):
+                waited_s = time.monotonic() - began_s
+                bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
         page.session.start()
         say(f"open {page.server.url} in a browser; Ctrl-C ends it")
         page.run()
     return 0
-
-
-def _load_planner(session: Session) -> None:
-    """Returns when the first click would be answered as soon as any."""
-    began_s = time.monotonic()
-    with ProgressBar("loading the planner", None) as bar:
-        while not session.is_ready(wait_s=0.2):
-            waited_s = time.monotonic() - began_s
-            bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:

@@ -10,14 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from app.options import (
+    CountOption,
     FolderOption,
     Interval,
     OptionalFolder,
     OptionalLength,
     RobotName,
+    SeedOption,
+    WorkersOption,
     choice,
     find_robot,
-    whole_number,
 )
 from app.output import ExitCode, InputError, ProgressBar, as_bad_input, make_folder, say, write_text
 from controller.curriculum import PRESETS as CURRICULA
@@ -46,10 +48,10 @@ class TrainOptions:
     robot: RobotName = "jvrc1"
     """Which robot, such as jvrc1."""
 
-    samples: Annotated[int, whole_number(at_least=1)] = 20_000_000
+    samples: CountOption = 20_000_000
     """Control steps of single robots to train on, such as 20000000."""
 
-    seed: Annotated[int, whole_number(at_least=0)] = 0
+    seed: SeedOption = 0
     """Seed of the run, such as 0."""
 
     reward: Annotated[str, choice("quiet", "precise", "paper")] = "quiet"
@@ -64,7 +66,7 @@ class TrainOptions:
     corpus: OptionalFolder = None
     """Corpus of `dataset` to train on, such as runs/corpus; none: makes one in DIR/corpus."""
 
-    workers: Annotated[int, whole_number(at_least=0)] = 0
+    workers: WorkersOption = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
     resume: bool = False
