@@ -12,11 +12,10 @@ from app.cli import main
 from app.commands import evaluate
 from app.commands.evaluate import SECTION_NAMES, EvaluateOptions
 from app.evaluation import limits, sections
-from app.evaluation.comparison import read_beside
 from app.evaluation.figures import FIGURES, write_figures
 from app.evaluation.limits import measured_of, sole_errors_m
-from app.evaluation.parts import EvaluationSetup, finite, table
-from app.evaluation.report_text import plain_joint, report
+from app.evaluation.parts import EvaluationSetup, finite
+from app.evaluation.report_text import plain_joint, report, table
 from app.evaluation.sections import SECTIONS, mode_row
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
@@ -252,7 +251,7 @@ def test_another_policy_beside(tmp_path, capsys):
     (folder / "evaluation.json").write_text(json.dumps(other))
     mine = document_of(results)
     mine["stairs"] = [stairs_row("up", 0.10, 1.0)]
-    mine["beside"] = read_beside(folder, "jvrc1", evaluate.FORMAT)
+    mine["beside"] = evaluate.read_beside(folder, "jvrc1")
     text = report(mine)
     assert "| forward | 0 of 1 | 1 of 1 | 2.0 / 4.7 cm | 2.0 / 4.7 cm |" in text
     assert "| 10 cm up | 100.0 % of 100 | 50.0 % of 100 |" in text
@@ -327,4 +326,5 @@ def test_names_of_joints_and_tables():
     assert [plain_joint(name) for name in names] == [
         *("hip roll", "hip roll", "hip roll", "knee", "knee", "ankle pitch"),
     ]
-    assert table(("a", "b"), [("1", "2")]) == ["| a | b |", "|---|---|", "| 1 | 2 |"]
+    shown = table([{"x": 1}], ("a", "{x}"), ("b", lambda row: f"{2 * row['x']}"))
+    assert shown == ["| a | b |", "|---|---|", "| 1 | 2 |"]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from app.navigation.report import installed_versions
 from app.options import (
+    CountOption,
     FolderOption,
     OptionalFolder,
     RobotOptions,
+    SeedOption,
+    WorkersOption,
     find_robot,
     some_of,
-    whole_number,
 )
 from app.output import (
     ExitCode,
@@ -30,7 +34,7 @@ from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import TrackingLimits, tracking_limits_path, tracking_limits_text
 
 if TYPE_CHECKING:
-    from app.evaluation.parts import EvaluationSetup, Part, ResultCache, Results
+    from app.evaluation.parts import EvaluationSetup, Part, Results
 
 FORMAT = "policy-evaluation/2"
 SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
@@ -38,6 +42,8 @@ SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
 TABLES = ("modes", "stairs", "push", "energy")
 # With fewer walks 99 % and 97 % are told apart by chance only.
 ENOUGH_EPISODES = 100
+# What of another policy's evaluation is shown; the rest stays in its own report.
+SHOWN_BESIDE = ("policy_sha256", "trained", "episodes", "seed", "modes", "stairs", "long")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +64,13 @@ class EvaluateOptions(RobotOptions):
     sections: Annotated[tuple[str, ...], some_of(*SECTION_NAMES)] = SECTION_NAMES
     """What to measure, such as modes,stairs."""
 
-    episodes: Annotated[int, whole_number(at_least=1)] = 1000
+    episodes: CountOption = 1000
     """Episodes of each mode, such as 1000; where there are many cases, a share of it for each."""
 
-    seed: Annotated[int, whole_number(at_least=0)] = 1
+    seed: SeedOption = 1
     """Seed of the episodes, such as 1; training never uses the same ones."""
 
-    workers: Annotated[int, whole_number(at_least=0)] = 0
+    workers: WorkersOption = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
     beside: OptionalFolder = None
@@ -76,16 +82,15 @@ class EvaluateOptions(RobotOptions):
 
 def run(options: EvaluateOptions) -> int:
     """Carries the command out; returns the exit code."""
-    from app.evaluation.comparison import read_beside
     from app.evaluation.limits import measured_of
-    from app.evaluation.parts import EvaluationSetup, ResultCache
+    from app.evaluation.parts import EvaluationSetup
     from app.evaluation.report_text import report
     from app.evaluation.sections import SECTIONS
 
     robot = find_robot(options.robot)
     with as_bad_input(PolicyError):
         policy = load_policy(robot, options.policy)
-    beside = read_beside(options.beside, robot.name, FORMAT) if options.beside else None
+    beside = {"beside": read_beside(options.beside, robot.name)} if options.beside else {}
     make_folder(options.out, option="--out")
     setup = EvaluationSetup(
         robot=robot,
@@ -96,30 +101,34 @@ def run(options: EvaluateOptions) -> int:
     )
     parts = [part for section in SECTIONS.values() for part in section(setup)]
     results: Results = {}
+
+    def write(document: dict[str, Any]) -> None:
+        write_text(options.out / "evaluation.json", to_json(document))
+        write_text(options.out / "report.md", report(document))
+
     try:
-        _measure(parts, options, ResultCache(options.out, setup), results)
+        _measure(parts, options, setup, results)
     except KeyboardInterrupt:
-        _write(options, document_of(setup, parts, results, None))
+        write(document_of(setup, parts, results, None))
         raise
     stored = store_limits(options, setup, measured_of(setup, results))
-    document = document_of(setup, parts, results, stored)
-    if beside is not None:
-        document["beside"] = beside
+    document = document_of(setup, parts, results, stored) | beside
     # Here and not above: it takes a while to load, and a run that is cut off needs none of it.
     from app.evaluation.figures import write_figures
 
     write_figures(document, options.out)
-    _write(options, document)
+    write(document)
     print(to_json(document) if options.json else report(document), end="")
     return ExitCode.DONE
 
 
 def _measure(
-    parts: Sequence[Part], options: EvaluateOptions, kept: ResultCache, results: Results
+    parts: Sequence[Part], options: EvaluateOptions, setup: EvaluationSetup, results: Results
 ) -> None:
     """Fill in the results of all parts that are wanted, or kept from a run of the same settings."""
-    from app.evaluation.parts import finite
+    from app.evaluation.parts import ResultCache, finite
 
+    kept = ResultCache(options.out, setup)
     found = {part.name: kept.read(part) for part in parts}
     results |= {name: result for name, result in found.items() if result is not None}
     wanted = [part for part in parts if part.section in options.sections]
@@ -172,22 +181,39 @@ def document_of(
     for section in SECTIONS:
         names = [part.name for part in parts if part.section == section]
         done = [name for name in names if name in results]
-        if section in TABLES and done:
-            document[section] = [results[name] for name in done]
-        elif section == "limits" and len(done) == len(names):
-            measured = measured_of(setup, results)
-            document[section] = {
-                **{name.removeprefix("limits-"): results[name] for name in names},
-                "measured": None if measured is None else asdict(measured),
-                "stored": stored,
-            }
-        elif section not in TABLES and section != "limits" and done:
-            document[section] = results[done[0]]
+        if section == "limits":
+            if done == names:
+                measured = measured_of(setup, results)
+                document[section] = {
+                    **{name.removeprefix("limits-"): results[name] for name in names},
+                    "measured": None if measured is None else asdict(measured),
+                    "stored": stored,
+                }
+        elif done:
+            rows = [results[name] for name in done]
+            document[section] = rows if section in TABLES else rows[0]
     return document
 
 
-def _write(options: EvaluateOptions, document: dict[str, Any]) -> None:
-    from app.evaluation.report_text import report
+def read_beside(folder: Path, robot: str) -> dict[str, Any]:
+    """What is shown beside it of another evaluation of this robot, in a folder.
 
-    write_text(options.out / "evaluation.json", to_json(document))
-    write_text(options.out / "report.md", report(document))
+    Raises:
+        InputError: No evaluation of this robot's modes is there; says what is.
+    """
+    path = folder / "evaluation.json"
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            f"--beside: {path} cannot be read ({error.strerror}); give the folder of an evaluation"
+        ) from None
+    except ValueError:
+        document = None
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError(f"--beside: {path} is not an evaluation of format {FORMAT}")
+    if document.get("robot") != robot:
+        raise InputError(f"--beside: {path} is of {document.get('robot')}, not of {robot}")
+    if not document.get("modes"):
+        raise InputError(f"--beside: {path} has no modes; measure it with --sections modes")
+    return {key: document[key] for key in SHOWN_BESIDE if key in document}

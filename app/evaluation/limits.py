@@ -53,15 +53,23 @@ def limits_parts(setup: EvaluationSetup) -> list[Part]:
         return {"walks_each": each, "kinds": cells}
 
     def measure_region(results: Results) -> dict[str, Any]:
-        latest: list[StepWalks] = []
+        walks: StepWalks
 
         def walk_limits(limits: StepLimits) -> LimitTrial:
-            walks, trial = _walk_within(setup, limits)
-            latest[:] = [walks]
+            nonlocal walks
+            steps = tuple(step for step in robot.step_model.steps if limits.contain(step))
+            model = replace(robot.step_model, limits=limits, steps=steps)
+            walks, trial = walk_within(
+                robot,
+                setup.policy,
+                limits,
+                lambda steps: allowed(steps, model),
+                **setup.draws(setup.episodes),
+                falls_at_most=math.floor((1 - SUCCESS) * setup.episodes + 1e-9),
+            )
             return trial
 
         trials = search_limits(trained, trained.limits, walk_limits, success=SUCCESS)
-        walks = latest[0]
         errors = sole_errors_m(walks, robot.step_model.foot)
         return {
             "walks_each": len(walks.upright),
@@ -76,36 +84,14 @@ def limits_parts(setup: EvaluationSetup) -> list[Part]:
         if not region["found"]:
             return {"walks": 0, "body_beyond_box_m": {}}
         limits = limits_from(region["tried"][-1]["limits"])
-        beyond = _sway_m(setup, limits, planned)
-        return {
-            "walks": planned,
-            "body_beyond_box_m": {name: [p99, most] for name, p99, most in beyond},
-        }
+        return {"walks": planned, "body_beyond_box_m": _sway_m(setup, limits, planned)}
 
-    def part(name: str, walks: float, measure: Any, seconds: float = LIMITS_WALK_S) -> Part:
-        return Part(
-            section="limits", name=f"limits-{name}", robot_seconds=walks * seconds, measure=measure
-        )
-
+    map_s, region_s = each * len(kinds) * LIMITS_WALK_S, 3 * setup.episodes * LIMITS_WALK_S
     return [
-        part("map", each * len(kinds), measure_map),
-        part("region", 3 * setup.episodes, measure_region),
-        part("sway", planned, measure_sway, PLANNED_S),
+        Part(name="limits-map", robot_seconds=map_s, measure=measure_map),
+        Part(name="limits-region", robot_seconds=region_s, measure=measure_region),
+        Part(name="limits-sway", robot_seconds=planned * PLANNED_S, measure=measure_sway),
     ]
-
-
-def _walk_within(setup: EvaluationSetup, limits: StepLimits) -> tuple[StepWalks, LimitTrial]:
-    stated = setup.robot.step_model
-    steps = tuple(step for step in stated.steps if limits.contain(step))
-    model = replace(stated, limits=limits, steps=steps)
-    return walk_within(
-        setup.robot,
-        setup.policy,
-        limits,
-        lambda steps: allowed(steps, model),
-        **setup.draws(setup.episodes),
-        falls_at_most=math.floor((1 - SUCCESS) * setup.episodes + 1e-9),
-    )
 
 
 def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
@@ -118,9 +104,7 @@ def sole_errors_m(walks: StepWalks, foot: FootShape) -> np.ndarray:
     return np.asarray(walks.error_m + corner_m * walks.heading_error_rad)
 
 
-def _sway_m(
-    setup: EvaluationSetup, limits: StepLimits, count: int
-) -> list[tuple[str, float, float]]:
+def _sway_m(setup: EvaluationSetup, limits: StepLimits, count: int) -> dict[str, list[float]]:
     """Each shape's reach beyond its box on planned walks: 99th percentile and most, most last."""
     from planner.planner import Planner  # the compiled search takes a second to load
 
@@ -134,11 +118,8 @@ def _sway_m(
     model = planning_model(setup.robot.step_model, provisional)
     cells = np.zeros((round(2 * FLOOR_HALF_M / 0.05),) * 2, np.uint8)
     corner = (-FLOOR_HALF_M, -FLOOR_HALF_M, 0.0)
-    planner = Planner(
-        OccupancyGrid(cells=cells, resolution_m=0.05, origin=corner),
-        model,
-        PlannerOptions(refine=False),
-    )
+    floor = OccupancyGrid(cells=cells, resolution_m=0.05, origin=corner)
+    planner = Planner(floor, model, PlannerOptions(refine=False))
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         far = GOAL_WITHIN_M
@@ -155,18 +136,15 @@ def _sway_m(
             rows = np.flatnonzero(tick.upright)
             beyond += [reach.beyond_m(walker.sim.qpos[row], stances[row]) for row in rows]
         stances = walker.cursor.stances
-    found = np.array(beyond)
-    p99, most = np.percentile(found, 99, axis=0), found.max(axis=0)
-    order = np.argsort(most)
-    return [(reach.names[k], float(p99[k]), float(most[k])) for k in order]
+    p99, most = np.percentile(beyond, 99, axis=0), np.max(beyond, axis=0)
+    return {reach.names[k]: [float(p99[k]), float(most[k])] for k in np.argsort(most)}
 
 
 def measured_of(setup: EvaluationSetup, results: Results) -> TrackingLimits | None:
     """What planning is to know; None where it was not measured or the policy is not up to it."""
-    needed = ("limits-region", "limits-sway")
-    if any(name not in results for name in needed):
+    region, sway = results.get("limits-region"), results.get("limits-sway")
+    if region is None or sway is None:
         return None
-    region, sway = (results[name] for name in needed)
     if not region["found"] or region["sole_error_m_p99"] is None:
         return None
     found = region["tried"][-1]
@@ -205,19 +183,13 @@ def _climb_m(
     if not plain:
         return stated, {}
     told = {f"{row['way']} {row['rise_m']:g} m": float(row["success"]) for row in plain}
-    level = StepLimits(x_m=(0, 0), y_m=(0, 0), yaw_rad=(0, 0)).z_m
-    most = {
-        way: max(
-            (
-                row["rise_m"]
-                for row in plain
-                if row["way"] == way and row["success"] >= STAIRS_SUCCESS
-            ),
-            default=level[1],
-        )
-        for way in ("up", "down")
-    }
-    return (max(stated[0], -most["down"]), min(stated[1], most["up"])), told
+    level_m = StepLimits(x_m=(0, 0), y_m=(0, 0), yaw_rad=(0, 0)).z_m[1]
+
+    def most_m(way: str) -> float:
+        climbed = [row for row in plain if row["success"] >= STAIRS_SUCCESS]
+        return max((row["rise_m"] for row in climbed if row["way"] == way), default=level_m)
+
+    return (max(stated[0], -most_m("down")), min(stated[1], most_m("up"))), told
 
 
 def _millimetres_up(length_m: float) -> float:

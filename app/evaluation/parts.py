@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,29 +43,23 @@ class EvaluationSetup:
         """Arguments of the rollouts of so many robots."""
         return {"count": count, "seed": self.seed, "threads": self.threads}
 
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What a result depends on, besides the code."""
-        return {
-            "robot": self.robot.name,
-            "policy_sha256": self.policy.about["sha256"],
-            "episodes": self.episodes,
-            "seed": self.seed,
-            "mujoco": mujoco.__version__,
-        }
-
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """One measurement of a section. `measure` is told the results so far, by part name.
+    """One measurement; its name is that of its section, or begins with it and `-`.
 
-    `robot_seconds` is how much walking is simulated: the measure of progress.
+    `measure` is told the results so far, by part name. `robot_seconds` is how much walking is
+    simulated: the measure of progress.
     """
 
-    section: str
     name: str
     robot_seconds: float
     measure: Callable[[Results], dict[str, Any]]
+
+    @property
+    def section(self) -> str:
+        """The section it is of."""
+        return self.name.partition("-")[0]
 
 
 class ResultCache:
@@ -73,7 +67,15 @@ class ResultCache:
 
     def __init__(self, folder: Path, setup: EvaluationSetup):
         self._folder = folder / "parts"
-        self._settings = setup.settings
+        # What a result depends on, besides the code.
+        settings = {
+            "robot": setup.robot.name,
+            "policy_sha256": setup.policy.about["sha256"],
+            "episodes": setup.episodes,
+            "seed": setup.seed,
+            "mujoco": mujoco.__version__,
+        }
+        self._head = {"format": FORMAT, "settings": settings}
 
     def read(self, part: Part) -> dict[str, Any] | None:
         """A part's result; None where there is none of the same settings."""
@@ -81,18 +83,15 @@ class ResultCache:
             document = json.loads(self._path(part).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        if not isinstance(document, Mapping) or document.get("format") != FORMAT:
+        if not isinstance(document, dict) or not isinstance(document.get("result"), dict):
             return None
-        if document.get("settings") != self._settings:
-            return None
-        result = document.get("result")
-        return result if isinstance(result, dict) else None
+        is_ours = document | self._head == document
+        return document["result"] if is_ours else None
 
     def write(self, part: Part, result: Mapping[str, Any]) -> None:
         """Keep a part's result, whole or not at all."""
         make_folder(self._folder, option="--out")
-        document = {"format": FORMAT, "settings": self._settings, "result": dict(result)}
-        write_text(self._path(part), to_json(document))
+        write_text(self._path(part), to_json({**self._head, "result": dict(result)}))
 
     def _path(self, part: Part) -> Path:
         return self._folder / f"{part.name}.json"
@@ -107,34 +106,6 @@ def finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(titles) + " |", "|" + "---|" * len(titles)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
-
-
-def paragraphs(*parts: str | Sequence[str]) -> list[str]:
-    """The lines of a section: parts of one line or several, with a blank line between."""
-    lines: list[str] = []
-    for part in parts:
-        lines += ["", part] if isinstance(part, str) else ["", *part]
-    return lines[1:]
-
-
-def cell(value: float | None, form: str = "{:.1f}", scale: float = 1.0) -> str:
-    """A number as it stands in a table."""
-    return "-" if value is None else form.format(scale * value)
-
-
-def pair(
-    row: Mapping[str, Any], first: str, second: str, scale: float = 100.0, unit: str = " cm"
-) -> str:
-    """Two numbers of a row in one cell, by default lengths in metres."""
-    if row[first] is None:
-        return "-"
-    return f"{scale * row[first]:.1f} / {scale * row[second]:.1f}{unit}"
 
 
 # Numbers of the paper that reports set beside ours, each with where it stands in it.

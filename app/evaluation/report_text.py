@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from app.evaluation.comparison import compared
 from app.evaluation.parts import (
     HIT_RADIUS_M,
     JOINT_NOISE_WITHSTOOD_DEG,
@@ -15,12 +14,10 @@ from app.evaluation.parts import (
     TITLE,
     TREAD_NOISE_WITHSTOOD_M,
     Document,
-    cell,
-    pair,
-    paragraphs,
-    table,
 )
 from controller.evaluation.gait_metrics import asymmetry
+
+CellText = Callable[[Document], str]  # of a row
 
 
 def plain_joint(name: str) -> str:
@@ -52,75 +49,113 @@ def report(document: Document) -> str:
     return "\n".join(lines)
 
 
-def _modes(document: Document) -> list[str]:
-    rows = [
-        (
-            row["mode"],
-            str(row["episodes"]),
-            str(row["falls"]),
-            str(row["landings"]),
-            pair(row, "error_m_median", "error_m_p95"),
-            cell(row["error_m_p99"], "{:.1f} cm", 100),
-            pair(row, "along_m_median", "along_m_p95"),
-            pair(row, "across_m_median", "across_m_p95"),
-            pair(row, "heading_deg_median", "heading_deg_p95", 1.0, "°"),
-        )
-        for row in document["modes"]
+def table(rows: Sequence[Document], *columns: tuple[str, str | CellText]) -> list[str]:
+    """A Markdown table; a column is its title, and a format or a function of a row's fields."""
+    cells = [
+        [cell.format_map(row) if isinstance(cell, str) else cell(row) for _, cell in columns]
+        for row in rows
     ]
-    titles = (
-        *("mode", "episodes", "falls", "steps", "foot error, median / p95", "p99"),
-        *("along, median / p95", "across, median / p95", "heading, median / p95"),
+    head, *lines = (
+        "| " + " | ".join(line) + " |" for line in ([title for title, _ in columns], *cells)
     )
+    return [head, "|" + "---|" * len(columns), *lines]
+
+
+def paragraphs(*parts: str | Sequence[str]) -> list[str]:
+    """The lines of a section: parts of one line or several, with a blank line between."""
+    lines: list[str] = []
+    for part in parts:
+        lines += ["", part] if isinstance(part, str) else ["", *part]
+    return lines[1:]
+
+
+def _shown(value: float | None, form: str, scale: float = 1.0) -> str:
+    """A number that may not be known."""
+    return "-" if value is None else form.format(scale * value)
+
+
+def _number(name: str, form: str, scale: float = 1.0) -> CellText:
+    return lambda row: _shown(row[name], form, scale)
+
+
+def _spread(name: str, scale: float = 100.0, unit: str = " cm") -> CellText:
+    """Median and 95th percentile, by default of lengths in metres."""
+
+    def spread(row: Document) -> str:
+        if row[f"{name}median"] is None:
+            return "-"
+        return f"{scale * row[f'{name}median']:.1f} / {scale * row[f'{name}p95']:.1f}{unit}"
+
+    return spread
+
+
+_HEADING = _spread("heading_deg_", 1.0, "°")
+
+
+def _modes(document: Document) -> list[str]:
     return paragraphs(
         "## Falls and foot errors",
         "A foot error is the horizontal distance between where a foot rests at the end of its "
         "step's period and where that step was asked for; along and across are its parts along "
         "and across the step. The paper gives no such distance: its step counts as hit when "
         f"either foot is within {100 * HIT_RADIUS_M:.0f} cm.",
-        table(titles, rows),
+        table(
+            document["modes"],
+            ("mode", "{mode}"),
+            ("episodes", "{episodes}"),
+            ("falls", "{falls}"),
+            ("steps", "{landings}"),
+            ("foot error, median / p95", _spread("error_m_")),
+            ("p99", _number("error_m_p99", "{:.1f} cm", 100)),
+            ("along, median / p95", _spread("along_m_")),
+            ("across, median / p95", _spread("across_m_")),
+            ("heading, median / p95", _HEADING),
+        ),
         "![Share of steps within a distance](errors.png)",
     )
 
 
-def _stairs(document: Document) -> list[str]:
-    def shown(kind: str, unit: str, scale: float, withstood: float) -> list[list[str]]:
-        rows = [row for row in document["stairs"] if row["noise_kind"] == kind]
-        ways = ("up", "down")
-        lines = []
-        for rise_m, noise in sorted({(row["rise_m"], row["noise"]) for row in rows}):
-            here = {
-                row["way"]: row for row in rows if row["rise_m"] == rise_m and row["noise"] == noise
-            }
-            cells = [
-                f"{100 * here[way]['success']:.1f} %, {here[way]['length_s_mean']:.1f} s"
-                if way in here
-                else "-"
-                for way in ways
-            ]
-            if kind == "none":
-                paper = "trained for" if rise_m <= 0.10 else "-"
-                what = "none"
-            else:
-                paper = "withstood" if noise <= withstood + 1e-9 else "falls off"
-                what = f"{unit} ±{scale * noise:g}"
-            some = next(iter(here.values()))
-            label = f"{100 * rise_m:g} cm"
-            lines.append([label, what, str(some["episodes"]), *cells, paper])
-        return lines
+# Kind of noise: how it is told, in which unit, and how much the paper's policy withstood.
+_NOISES = {
+    "none": ("none", 1.0, 0.0),
+    "tread": ("treads, cm ±{:g}", 100.0, TREAD_NOISE_WITHSTOOD_M),
+    "joint": ("joints, degrees ±{:g}", 1.0, JOINT_NOISE_WITHSTOOD_DEG),
+}
 
-    rows = [
-        *shown("none", "", 1.0, 0.0),
-        *shown("tread", "treads, cm", 100.0, TREAD_NOISE_WITHSTOOD_M),
-        *shown("joint", "joints, degrees", 1.0, JOINT_NOISE_WITHSTOOD_DEG),
-    ]
-    titles = ("rise", "noise", "episodes", "up: success, length", "down", f"{TITLE}, 10 cm")
+
+def _stairs(document: Document) -> list[str]:
+    cases: dict[tuple[int, float, float], dict[str, Any]] = {}
+    for row in document["stairs"]:
+        case = list(_NOISES).index(row["noise_kind"]), row["rise_m"], row["noise"]
+        cases.setdefault(case, {**row, "up": "-", "down": "-"})[row["way"]] = (
+            f"{100 * row['success']:.1f} %, {row['length_s_mean']:.1f} s"
+        )
+
+    def noise(row: Document) -> str:
+        told, scale, _ = _NOISES[row["noise_kind"]]
+        return told.format(scale * row["noise"])
+
+    def paper(row: Document) -> str:
+        if row["noise_kind"] == "none":
+            return "trained for" if row["rise_m"] <= 0.10 else "-"
+        *_, withstood = _NOISES[row["noise_kind"]]
+        return "withstood" if row["noise"] <= withstood + 1e-9 else "falls off"
+
     return paragraphs(
         "## Stairs",
         "Episodes of 10 s on runs of 25 to 30 cm. Success: neither fallen nor strayed from the "
         "plan. Each tread is uniformly higher or lower than observed by up to the tread noise; "
         "joint noise is uniform on every observed joint position, with matching noise on the "
         "velocities.",
-        table(titles, rows),
+        table(
+            [cases[case] for case in sorted(cases)],
+            ("rise", _number("rise_m", "{:g} cm", 100)),
+            ("noise", noise),
+            ("episodes", "{episodes}"),
+            ("up: success, length", "{up}"),
+            ("down", "{down}"),
+            (f"{TITLE}, 10 cm", paper),
+        ),
         "![Success and episode length on noisy stairs](stairs.png)",
     )
 
@@ -136,29 +171,40 @@ def _gait(document: Document) -> list[str]:
     if not joints:
         return paragraphs(*head)
     half = len(joints) // 2
-    rows = []
-    for left, right in zip(joints[:half], joints[half:], strict=True):
-        uneven = asymmetry(left["rms_torque_nm"], right["rms_torque_nm"])
-        rows.append(
-            (
-                plain_joint(left["joint"]),
-                f"{left['peak_torque_nm']:.0f} / {right['peak_torque_nm']:.0f}",
-                f"{left['torque_limit_nm']:g}",
-                f"{left['peak_speed_rad_s']:.2f} / {right['peak_speed_rad_s']:.2f}",
-                f"{left['speed_limit_rad_s']:g}",
-                f"{100 * uneven:.1f} %",
-            )
-        )
-    titles = (
-        *("joint", "peak torque left / right, N m", "limit"),
-        *("peak speed left / right, rad/s", "limit", "left and right differ by"),
+    rows = [
+        {
+            "joint": plain_joint(left["joint"]),
+            "left": left,
+            "right": right,
+            "uneven": 100 * asymmetry(left["rms_torque_nm"], right["rms_torque_nm"]),
+        }
+        for left, right in zip(joints[:half], joints[half:], strict=True)
+    ]
+    loads = table(
+        rows,
+        ("joint", "{joint}"),
+        (
+            "peak torque left / right, N m",
+            "{left[peak_torque_nm]:.0f} / {right[peak_torque_nm]:.0f}",
+        ),
+        ("limit", "{left[torque_limit_nm]:g}"),
+        (
+            "peak speed left / right, rad/s",
+            "{left[peak_speed_rad_s]:.2f} / {right[peak_speed_rad_s]:.2f}",
+        ),
+        ("limit", "{left[speed_limit_rad_s]:g}"),
+        ("left and right differ by", "{uneven:.1f} %"),
     )
     return paragraphs(
         *head,
         _walk_figures(gait),
-        table(titles, rows),
+        loads,
         [
-            *_paper_peaks(document["robot"], joints),
+            *(
+                _paper_peaks(rows)
+                if document["robot"] == "hrp5p"
+                else [f"{TITLE} lists peak loads of HRP-5P only."]
+            ),
             "The last column compares the root mean square torques.",
         ],
         "![Peak loads as shares of their limits](loads.png)",
@@ -166,115 +212,110 @@ def _gait(document: Document) -> list[str]:
         "(left {:.2f}, right {:.2f}).".format(*gait["force_peak"]),
         "![Vertical ground force over the gait](forces.png)",
         "Contact is what the phase indicator asks for during "
-        f"{cell(gait['contact_agreement'], '{:.1f} %', 100)} of the time outside its ramps; feet "
-        f"lift off {cell(gait['lift_off_lag_s'], '{:.0f} ms', 1000)} after the clock and touch "
-        f"down {cell(gait['touch_down_lag_s'], '{:.0f} ms', 1000)} after it (medians; less than 0 "
-        "is early).",
+        f"{_shown(gait['contact_agreement'], '{:.1f} %', 100)} of the time outside its ramps; feet "
+        f"lift off {_shown(gait['lift_off_lag_s'], '{:.0f} ms', 1000)} after the clock and touch "
+        f"down {_shown(gait['touch_down_lag_s'], '{:.0f} ms', 1000)} after it (medians; less than "
+        "0 is early).",
         "![Phase indicator and contact](contact.png)",
     )
 
 
-def _walk_figures(gait: Mapping[str, Any]) -> list[str]:
+def _walk_figures(gait: Document) -> list[str]:
     """How as many walks looked that also came to a stand; the names are those of report.json."""
-    jerk = f"Joint jerk: {cell(gait['joint_jerk_rad_s3'], '{:.0f} rad/s³')} (root mean square)."
+    jerk = f"Joint jerk: {_shown(gait['joint_jerk_rad_s3'], '{:.0f} rad/s³')} (root mean square)."
     walk = gait["walk"]
     if walk is None:
         return [jerk]
-    height, apex = walk["pelvis_height_m"], walk["swing_apex_m"]
+    height = walk["pelvis_height_m"]
     touchdown = walk["touchdown_speed_m_s"] or {"median": None, "p95": None}
-    rows = [
-        (
-            "pelvis over the lower sole, median / least",
-            f"{height['median']:.3f} / {height['least']:.3f} m",
+    figures = {
+        "pelvis over the lower sole, median / least": (
+            f"{height['median']:.3f} / {height['least']:.3f} m"
         ),
-        (
-            f"the same at rest (half-sitting: {gait['pelvis_standing_m']:.3f} m)",
-            cell(height["at_rest"], "{:.3f} m"),
+        f"the same at rest (half-sitting: {gait['pelvis_standing_m']:.3f} m)": _shown(
+            height["at_rest"], "{:.3f} m"
         ),
-        ("bob of the pelvis in a step, median", f"{100 * walk['pelvis_bob_m']:.1f} cm"),
-        ("swing apex, median / 95th percentile", pair(apex, "median", "p95")),
-        (
-            "sole's speed down, last 25 ms before contact, median / 95th percentile",
-            f"{cell(touchdown['median'], '{:.2f}')} / {cell(touchdown['p95'], '{:.2f}')} m/s",
+        "bob of the pelvis in a step, median": f"{100 * walk['pelvis_bob_m']:.1f} cm",
+        "swing apex, median / 95th percentile": _spread("")(walk["swing_apex_m"]),
+        "sole's speed down, last 25 ms before contact, median / 95th percentile": (
+            f"{_shown(touchdown['median'], '{:.2f}')} / {_shown(touchdown['p95'], '{:.2f}')} m/s"
         ),
-        ("peak force of one foot", f"{walk['peak_force_weights']:.2f} weights"),
-        ("cost of transport", cell(walk["cost_of_transport"], "{:.2f}")),
-        ("speed", f"{walk['speed_m_s']:.2f} m/s"),
-    ]
+        "peak force of one foot": f"{walk['peak_force_weights']:.2f} weights",
+        "cost of transport": _shown(walk["cost_of_transport"], "{:.2f}"),
+        "speed": f"{walk['speed_m_s']:.2f} m/s",
+    }
+    rows = [{"name": name, "value": value} for name, value in figures.items()]
     return paragraphs(
         "The same steps again, then a stand: every step counts, those of setting off and stopping "
         "too.",
-        table(("gait", ""), rows),
+        table(rows, ("gait", "{name}"), ("", "{value}")),
         jerk,
     )
 
 
-def _paper_peaks(robot: str, joints: Sequence[Mapping[str, Any]]) -> list[str]:
+def _paper_peaks(rows: Sequence[Document]) -> list[str]:
     """The paper's measured peaks of HRP-5P beside ours: how many times its greater leg's."""
-    if robot != "hrp5p":
-        return [f"{TITLE} lists peak loads of HRP-5P only."]
-    half, rows = len(joints) // 2, []
-    for left, right in zip(joints[:half], joints[half:], strict=True):
-        torques_nm, speeds_rad_s = PAPER_PEAKS[plain_joint(left["joint"])]
-        ours_nm = max(left["peak_torque_nm"], right["peak_torque_nm"])
-        ours_rad_s = max(left["peak_speed_rad_s"], right["peak_speed_rad_s"])
-        rows.append(
-            (
-                plain_joint(left["joint"]),
-                "{:g} / {:g}".format(*torques_nm),
-                f"{ours_nm / max(torques_nm):.1f}",
-                "{:g} / {:g}".format(*speeds_rad_s),
-                f"{ours_rad_s / max(speeds_rad_s):.1f}",
-            )
+    rows = [{**row, "paper": PAPER_PEAKS[row["joint"]]} for row in rows]
+
+    def ours_over(peak: str, which: int) -> CellText:
+        return lambda row: (
+            f"{max(row['left'][peak], row['right'][peak]) / max(row['paper'][which]):.1f}"
         )
-    titles = (
-        *("joint", f"peak torque in {TITLE}, left / right, N m", "ours over its greater"),
-        *("peak speed there, rad/s", "ours over its greater"),
+
+    peaks = table(
+        rows,
+        ("joint", "{joint}"),
+        (
+            f"peak torque in {TITLE}, left / right, N m",
+            "{paper[0][0]:g} / {paper[0][1]:g}",
+        ),
+        ("ours over its greater", ours_over("peak_torque_nm", 0)),
+        ("peak speed there, rad/s", "{paper[1][0]:g} / {paper[1][1]:g}"),
+        ("ours over its greater", ours_over("peak_speed_rad_s", 1)),
     )
-    return [*table(titles, rows), "", f"The limits above are those of {TITLE} too."]
+    return [*peaks, "", f"The limits above are those of {TITLE} too."]
 
 
 def _push(document: Document) -> list[str]:
-    impulses = document["push"][0]["impulses_ns"]
-    rows = [
-        (row["direction"], *(f"{100 * share:.0f} %" for share in row["success"]))
-        for row in document["push"]
-    ]
-    titles = ("pushed", *(f"{impulse:g} N s" for impulse in impulses))
+    rows = document["push"]
+
+    def success(number: int) -> CellText:
+        return lambda row: f"{100 * row['success'][number]:.0f} %"
+
+    impulses = enumerate(rows[0]["impulses_ns"])
     return paragraphs(
         "## Push recovery",
-        f"{document['push'][0]['walks']} walks straight forward for each direction and impulse, "
+        f"{rows[0]['walks']} walks straight forward for each direction and impulse, "
         "pushed once for 0.1 s at the pelvis, at a moment drawn over the gait cycle; success is "
         "to be on one's feet at the end.",
-        table(titles, rows),
+        table(
+            rows,
+            ("pushed", "{direction}"),
+            *((f"{impulse:g} N s", success(number)) for number, impulse in impulses),
+        ),
         "![Success against impulse](push.png)",
     )
 
 
 def _energy(document: Document) -> list[str]:
-    rows = [
-        (
-            row["kind"],
-            f"{100 * _length_m(row):.0f} cm",
-            cell(row["speed_m_s"], "{:.2f} m/s"),
-            cell(row["power_w"], "{:.0f} W"),
-            cell(row["cost_of_transport"], "{:.2f}"),
-        )
-        for row in document["energy"]
-    ]
-    titles = ("walk", "step", "speed", "mechanical power", "cost of transport")
+    def length(row: Document) -> str:
+        x_m, y_m, _ = row["step"]
+        return f"{100 * (y_m if row['kind'] == 'sideways' else abs(x_m)):.0f} cm"
+
     return paragraphs(
         "## Speed and cost of transport",
         "Cost of transport is E / (m g d) with E the absolute mechanical work of all leg joints: "
         "what brakes costs as much as what drives.",
-        table(titles, rows),
+        table(
+            document["energy"],
+            ("walk", "{kind}"),
+            ("step", length),
+            ("speed", _number("speed_m_s", "{:.2f} m/s")),
+            ("mechanical power", _number("power_w", "{:.0f} W")),
+            ("cost of transport", _number("cost_of_transport", "{:.2f}")),
+        ),
         "![Cost of transport over speed](energy.png)",
     )
-
-
-def _length_m(row: Document) -> float:
-    x_m, y_m, _ = row["step"]
-    return abs(x_m) if row["kind"] != "sideways" else y_m
 
 
 def _long(document: Document) -> list[str]:
@@ -289,7 +330,25 @@ def _long(document: Document) -> list[str]:
 
 def _limits(document: Document) -> list[str]:
     limits = document["limits"]
-    head = (
+
+    def ends(name: str, scale: float) -> CellText:
+        return lambda tried: "{:.1f} to {:.1f}".format(*(scale * v for v in tried["limits"][name]))
+
+    found = limits["measured"]
+    told = ["None of them reached 99 %: planning uses those of the robot's file."]
+    if found is not None:
+        z0, z1 = (100 * end for end in found["limits"]["z_m"])
+        told = [
+            "Planning uses the last of these, steps down to "
+            f"{-z0:.0f} cm and up to {z1:.0f} cm, a foot margin of "
+            f"{100 * found['foot_margin_m']:.1f} cm (99th percentile of how far any point of a "
+            "sole comes down from its place within these limits) and a body margin of "
+            f"{100 * found['body_margin_m']:.1f} cm (the most that any shape, here "
+            f"{found['evidence']['widest_shape']}, left its box in "
+            f"{found['evidence']['planned_walks']} planned walks).",
+            f"Stored: {limits['stored'] or 'no'}.",
+        ]
+    return paragraphs(
         "## What planning may ask for",
         "Each kind of step on a grid over what was trained was walked "
         f"{limits['map']['walks_each']} times for 10 s: about every other step is of that kind, "
@@ -298,36 +357,65 @@ def _limits(document: Document) -> list[str]:
         "The limits are those trained on, cut back at the corner where most walks fall until 99 % "
         "succeed. Walks begin with two steps on corners and go on anywhere within the limits and "
         "with steps of the planner's set:",
+        table(
+            limits["region"]["tried"],
+            ("forward, cm", ends("x_m", 100)),
+            ("sideways, cm", ends("y_m", 100)),
+            ("turn, degrees", ends("yaw_rad", math.degrees(1))),
+            ("success", _number("success", "{:.1f} %", 100)),
+        ),
+        *told,
     )
-    rows = [
-        (*_ends(tried["limits"]), f"{100 * tried['success']:.1f} %")
-        for tried in limits["region"]["tried"]
-    ]
-    tried = table(("forward, cm", "sideways, cm", "turn, degrees", "success"), rows)
-    found = limits["measured"]
-    if found is None:
-        none = "None of them reached 99 %: planning uses those of the robot's file."
-        return paragraphs(*head, tried, none)
-    z0, z1 = (100 * end for end in found["limits"]["z_m"])
+
+
+def beside_rows(document: Document, section: str, *keys: str) -> list[dict[str, Any]]:
+    """Rows that both evaluations have, as `this` and `other`: those that agree in these fields."""
+
+    def rows(of: Document) -> dict[tuple[Any, ...], Document]:
+        plain = (row for row in of.get(section, []) if row.get("noise_kind", "none") == "none")
+        return {tuple(row[key] for key in keys): row for row in plain}
+
+    this, other = rows(document), rows(document["beside"])
+    return [{"this": this[key], "other": other[key]} for key in this if key in other]
+
+
+def _beside(document: Document) -> list[str]:
+    """Another policy of the same robot beside the one measured, such as one of another reward."""
+    other = document["beside"]
+
+    def both(this: str, theirs: str, cell: CellText) -> list[tuple[str, CellText]]:
+        return [(this, lambda row: cell(row["this"])), (theirs, lambda row: cell(row["other"]))]
+
+    def success(row: Document) -> str:
+        return f"{100 * row['success']:.1f} % of {row['episodes']}"
+
+    stairs = table(
+        beside_rows(document, "stairs", "rise_m", "way"),
+        ("stairs", lambda row: "{:g} cm {way}".format(100 * row["this"]["rise_m"], **row["this"])),
+        *both("success, this", "success, other", success),
+    )
     return paragraphs(
-        *head,
-        tried,
-        "Planning uses the last of these, steps down to "
-        f"{-z0:.0f} cm and up to {z1:.0f} cm, a foot margin of {100 * found['foot_margin_m']:.1f} "
-        "cm (99th percentile of how far any point of a sole comes down from its place within "
-        f"these limits) and a body margin of {100 * found['body_margin_m']:.1f} cm (the most that "
-        f"any shape, here {found['evidence']['widest_shape']}, left its box in "
-        f"{found['evidence']['planned_walks']} planned walks).",
-        f"Stored: {limits['stored'] or 'no'}.",
+        "## Beside another policy",
+        f"The other is {other['policy_sha256'][:12]}, evaluated with seed {other['seed']}.",
+        [f"- This: {_made(document)}.", f"- Other: {_made(other)}."],
+        table(
+            beside_rows(document, "modes", "mode"),
+            ("mode", "{this[mode]}"),
+            *both("falls, this", "falls, other", "{falls} of {episodes}".format_map),
+            *both("foot error, this, median / p95", "foot error, other", _spread("error_m_")),
+            *both("heading, this, median / p95", "heading, other", _HEADING),
+        ),
+        "![Both policies, mode by mode](beside.png)",
+        *([stairs] if len(stairs) > 2 else []),
     )
 
 
-def _ends(limits: Document) -> tuple[str, str, str]:
-    def shown(name: str, scale: float) -> str:
-        low, high = (scale * end for end in limits[name])
-        return f"{low:.1f} to {high:.1f}"
-
-    return shown("x_m", 100), shown("y_m", 100), shown("yaw_rad", math.degrees(1))
+def _made(document: Document) -> str:
+    """The command that trained a policy and how long it had learned, as far as it says."""
+    trained = document.get("trained") or {}
+    if "command" not in trained:
+        return "its file does not say how it was trained"
+    return f"`{trained['command']}`, the checkpoint at {trained['samples']:,} samples"
 
 
 _SECTIONS: Mapping[str, Callable[[Document], list[str]]] = {
@@ -338,5 +426,5 @@ _SECTIONS: Mapping[str, Callable[[Document], list[str]]] = {
     "energy": _energy,
     "long": _long,
     "limits": _limits,
-    "beside": compared,
+    "beside": _beside,
 }

@@ -12,23 +12,7 @@ import numpy as np
 from app.evaluation.limits import limits_parts
 from app.evaluation.parts import EvaluationSetup, Part, Results
 from controller.assessment import ModeResult, assess_mode, at_navigation_rate
-from controller.evaluation.gait_metrics import (
-    RECORDED_S,
-    Step,
-    contact_agreement,
-    cost_of_transport,
-    distance_m,
-    duration_s,
-    gait_cycle_curves,
-    in_contact,
-    joint_jerk_rad_s3,
-    joint_loads,
-    mechanical_work_j,
-    peak_weights,
-    record_walk,
-    swing_lags,
-    walk_and_stand,
-)
+from controller.evaluation import gait_metrics as metrics
 from controller.evaluation.push_recovery import DIRECTIONS, PUSH_WALK_S, push_recovery
 from controller.evaluation.rollouts import AT_ONCE, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
@@ -53,7 +37,6 @@ def modes_parts(setup: EvaluationSetup) -> list[Part]:
 
     return [
         Part(
-            section="modes",
             name=f"modes-{mode or 'mixed'}",
             robot_seconds=setup.episodes * EPISODE_S,
             measure=partial(measure, mode=mode),
@@ -110,11 +93,8 @@ def stairs_parts(setup: EvaluationSetup) -> list[Part]:
     cases += [(STAIR_RISES_M[0], "joint", noise_deg, few) for noise_deg in JOINT_NOISE_DEG]
 
     def measure(results: Results, way: str, rise_m: float, kind: str, noise: float, n: int) -> Any:
-        settings = {"rise_m": rise_m}
-        if kind == "tread":
-            settings["tread_error_m"] = noise
-        elif kind == "joint":
-            settings["joint_noise_deg"] = noise
+        amplitudes = {"tread": {"tread_error_m": noise}, "joint": {"joint_noise_deg": noise}}
+        settings = {"rise_m": rise_m, **amplitudes.get(kind, {})}
         result = _assess(setup, f"stairs_{way}", n, **settings)
         return {
             "way": way,
@@ -127,7 +107,6 @@ def stairs_parts(setup: EvaluationSetup) -> list[Part]:
 
     return [
         Part(
-            section="stairs",
             name=f"stairs-{way}-{100 * rise_m:g}cm-{kind}-{noise:g}",
             robot_seconds=episodes * EPISODE_S,
             measure=partial(measure, way=way, rise_m=rise_m, kind=kind, noise=noise, n=episodes),
@@ -163,92 +142,92 @@ def long_parts(setup: EvaluationSetup) -> list[Part]:
         return {"walks": count, "seconds": LONG_WALK_S, "falls": falls, "fell_at_s": fallen_s}
 
     seconds = count * LONG_WALK_S
-    return [Part(section="long", name="long", robot_seconds=seconds, measure=measure)]
+    return [Part(name="long", robot_seconds=seconds, measure=measure)]
 
 
 def gait_parts(setup: EvaluationSetup) -> list[Part]:
     """Loads of the joints, ground forces and contact in a straight walk with the longest step."""
-    model, robot = setup.robot.step_model, setup.robot
-    step = (model.limits.most_x_m(model.stance_width_m), model.stance_width_m, 0.0)
+    robot, width_m = setup.robot, setup.robot.step_model.stance_width_m
+    step = (robot.step_model.limits.most_x_m(width_m), width_m, 0.0)
     count = min(RECORDED, 2 * setup.episodes)
 
     def measure(results: Results) -> dict[str, Any]:
-        record = record_walk(robot, setup.policy, step, **setup.draws(count))
+        record = metrics.record_walk(robot, setup.policy, step, **setup.draws(count))
         head = {"step_m": step[0], "walks": count, "falls": int(count - record.upright.sum())}
         if not record.upright.any():
             return head
         whole = record.of_upright()
         ticks = GaitTicks.of(robot.gait)
         steady = whole.steady(ticks)
-        weights = steady.ground_force_n / robot.weight_n
-        contact = in_contact(steady, robot.mass_kg).astype(float)
-        asked = np.repeat(steady.indicator, steady.substeps, axis=1)
-        summary = walk_and_stand(robot, setup.policy, step, **setup.draws(count))
-        lift_s, touch_s = swing_lags(steady, robot.mass_kg, ticks)
-        curves = {"force": weights, "contact": contact, "indicator": asked}
+        summary = metrics.walk_and_stand(robot, setup.policy, step, **setup.draws(count))
+        lift_s, touch_s = metrics.swing_lags(steady, robot.mass_kg, ticks)
         cycles = {
-            k: gait_cycle_curves(steady, v, ticks, bins=CYCLE_BINS) for k, v in curves.items()
+            name: metrics.gait_cycle_curves(steady, values, ticks, bins=CYCLE_BINS)
+            for name, values in (
+                ("force", steady.ground_force_n / robot.weight_n),
+                ("contact", metrics.in_contact(steady, robot.mass_kg).astype(float)),
+                ("indicator", np.repeat(steady.indicator, steady.substeps, axis=1)),
+            )
         }
         return {
             **head,
-            "joints": joint_loads(whole, robot),
-            "joint_jerk_rad_s3": joint_jerk_rad_s3(whole),
+            "joints": metrics.joint_loads(whole, robot),
+            "joint_jerk_rad_s3": metrics.joint_jerk_rad_s3(whole),
             "pelvis_standing_m": robot.pelvis_height_m,
             "walk": None if summary is None else asdict(summary),
             "cycle_time_s": cycles["force"].time_s.tolist(),
             **{f"{k}_mean": cycle.mean.T.tolist() for k, cycle in cycles.items()},
             "force_low": cycles["force"].low.T.tolist(),
             "force_high": cycles["force"].high.T.tolist(),
-            "force_peak": peak_weights(steady, robot.mass_kg),
-            "contact_agreement": contact_agreement(steady, robot.mass_kg),
+            "force_peak": metrics.peak_weights(steady, robot.mass_kg),
+            "contact_agreement": metrics.contact_agreement(steady, robot.mass_kg),
             "lift_off_lag_s": lift_s,
             "touch_down_lag_s": touch_s,
         }
 
-    seconds = 2 * count * RECORDED_S
-    return [Part(section="gait", name="gait", robot_seconds=seconds, measure=measure)]
+    seconds = 2 * count * metrics.RECORDED_S
+    return [Part(name="gait", robot_seconds=seconds, measure=measure)]
 
 
 def energy_parts(setup: EvaluationSetup) -> list[Part]:
-    """Cost of transport and speed of walks forward, backward and sideways."""
-    count = min(RECORDED // 2, 2 * setup.episodes)
+    """Cost of transport and speed of walks forward, backward and sideways.
 
-    def measure(results: Results, step: Step, kind: str) -> dict[str, Any]:
-        record = record_walk(setup.robot, setup.policy, step, **setup.draws(count))
+    Their steps are within the limits that the robot's file states.
+    """
+    count = min(RECORDED // 2, 2 * setup.episodes)
+    limits, width_m = setup.robot.step_model.limits, setup.robot.step_model.stance_width_m
+    ahead_m, back_m = limits.most_x_m(width_m), limits.most_x_m(width_m, backward=True)
+    widest = clip_to_limits(np.array([[0.0, limits.y_m[1], 0.0]]), limits, width_m)[0]
+    walks: list[tuple[str, metrics.Step]] = [
+        *(("forward", (share * ahead_m, width_m, 0.0)) for share in (0.25, 0.5, 0.75, 1.0)),
+        *(("backward", (share * back_m, width_m, 0.0)) for share in (0.5, 1.0)),
+        ("sideways", (0.0, float(widest[1]), 0.0)),
+    ]
+
+    def measure(results: Results, step: metrics.Step, kind: str) -> dict[str, Any]:
+        record = metrics.record_walk(setup.robot, setup.policy, step, **setup.draws(count))
         falls = int(count - record.upright.sum())
         row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
         if not record.upright.any():
             return {**row, "speed_m_s": None, "cost_of_transport": None, "power_w": None}
         steady = record.of_upright().steady(GaitTicks.of(setup.robot.gait))
-        work_j, way_m = mechanical_work_j(steady), distance_m(steady)
-        cost = cost_of_transport(work_j, setup.robot.mass_kg, way_m)
+        work_j, way_m = metrics.mechanical_work_j(steady), metrics.distance_m(steady)
+        cost = metrics.cost_of_transport(work_j, setup.robot.mass_kg, way_m)
         return {
             **row,
-            "speed_m_s": float(way_m.mean() / duration_s(steady)),
+            "speed_m_s": float(way_m.mean() / metrics.duration_s(steady)),
             "cost_of_transport": float(cost.mean()),
-            "power_w": float(work_j.mean() / duration_s(steady)),
+            "power_w": float(work_j.mean() / metrics.duration_s(steady)),
         }
 
     return [
         Part(
-            section="energy",
             name=f"energy-{kind}-{number}",
-            robot_seconds=count * RECORDED_S,
+            robot_seconds=count * metrics.RECORDED_S,
             measure=partial(measure, step=step, kind=kind),
         )
-        for number, (kind, step) in enumerate(_walks_to_weigh(setup))
+        for number, (kind, step) in enumerate(walks)
     ]
-
-
-def _walks_to_weigh(setup: EvaluationSetup) -> list[tuple[str, Step]]:
-    """Kinds of walk and their steps, within the limits that the robot's file states."""
-    model = setup.robot.step_model
-    limits, width_m = model.limits, model.stance_width_m
-    ahead_m, back_m = limits.most_x_m(width_m), limits.most_x_m(width_m, backward=True)
-    forward = [("forward", (s * ahead_m, width_m, 0.0)) for s in (0.25, 0.5, 0.75, 1.0)]
-    backward = [("backward", (s * back_m, width_m, 0.0)) for s in (0.5, 1.0)]
-    widest = clip_to_limits(np.array([[0.0, limits.y_m[1], 0.0]]), limits, width_m)[0]
-    return [*forward, *backward, ("sideways", (0.0, float(widest[1]), 0.0))]
 
 
 def push_parts(setup: EvaluationSetup) -> list[Part]:
@@ -260,16 +239,11 @@ def push_parts(setup: EvaluationSetup) -> list[Part]:
         success = push_recovery(
             setup.robot, setup.policy, direction, impulses_ns, **setup.draws(count)
         )
-        return {
-            "direction": direction,
-            "walks": count,
-            "impulses_ns": impulses_ns,
-            "success": success,
-        }
+        row = {"direction": direction, "walks": count}
+        return {**row, "impulses_ns": impulses_ns, "success": success}
 
     return [
         Part(
-            section="push",
             name=f"push-{direction.replace(' ', '-')}",
             robot_seconds=count * len(impulses_ns) * PUSH_WALK_S,
             measure=partial(measure, direction=direction),
