@@ -15,9 +15,10 @@ from app.pictures.film import tile
 from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from app.pictures.rendering import (
     Boxes,
-    Footmarks,
+    Footmark,
     Recording,
     View,
+    add_footmarks,
     camera_path,
     eye_position,
     footmarks_of,
@@ -257,10 +258,10 @@ def placed_at(side: Side, x_m: float, time_s: float) -> Placed:
     return Placed(side=side, asked_world=pose, placed_world=pose, time_s=time_s)
 
 
-def shown(marks: Footmarks, time_s: float) -> list[tuple[float, bool]]:
+def shown(marks: list[Footmark], time_s: float) -> list[tuple[float, bool]]:
     """x and whether it is a full print, of all marks of that time."""
-    now = (marks.from_s <= time_s) & (time_s < marks.until_s)
-    return sorted(zip(marks.pose_world[now, 0], marks.rgba[now, 3] > 0.5, strict=True))
+    now = (mark for mark in marks if mark.from_s <= time_s < mark.until_s)
+    return sorted((mark.pose_world[0], mark.is_placed) for mark in now)
 
 
 def test_a_planned_step_gives_way_to_where_the_foot_came_down():
@@ -292,7 +293,7 @@ def test_they_lie_on_the_ground_in_the_colour_of_their_foot():
     mujoco = pytest.importorskip("mujoco")
     marks = footmarks_of(FOOT, [(0.0, plan_of((Side.LEFT, 1.0), (Side.RIGHT, 2.0)))], [])
     scene = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 100)
-    marks.add_to(scene, 0.0)
+    add_footmarks(scene, marks, 0.0)
     assert scene.ngeom == 2
     left, right = scene.geoms[0], scene.geoms[1]
     assert left.pos[0] == pytest.approx(1.0)
@@ -302,7 +303,7 @@ def test_they_lie_on_the_ground_in_the_colour_of_their_foot():
     assert left.rgba[2] > left.rgba[0]
     assert right.rgba[0] > right.rgba[2]
     full = mujoco.MjvScene(mujoco.MjModel.from_xml_string("<mujoco/>"), 1)
-    marks.add_to(full, 0.0)
+    add_footmarks(full, marks, 0.0)
     assert full.ngeom == 1
 
 

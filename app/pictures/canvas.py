@@ -37,6 +37,7 @@ _LOWEST, _HIGHEST, _EDGE = _FLOOR, (172, 204, 222), (140, 166, 182)
 _EDGE_M = 0.02
 _SUB = 4  # bits of a pixel's fraction in OpenCV's drawing calls
 _LONGEST_PX, _MOST_PX_PER_M = 1600, 240
+LARGE_MAP_M = 12.0
 
 
 def height_range(grid: OccupancyGrid) -> tuple[float, float]:
@@ -256,6 +257,15 @@ def body_path(plan: FootstepPlan) -> FloatArray:
     return np.array(poses)
 
 
+def surroundings(
+    grid: OccupancyGrid, points_world: ArrayLike, *, is_large: bool = False
+) -> FloatArray | None:
+    """Those of points (n, 2) on a large map, which its picture is cut to; None shows it whole."""
+    points = np.asarray(points_world, dtype=float)
+    points = points[grid.contains(points)]
+    return points if len(points) and (is_large or max(grid.size_m) > LARGE_MAP_M) else None
+
+
 def draw_plan(
     plan: FootstepPlan,
     grid: OccupancyGrid,
@@ -269,14 +279,14 @@ def draw_plan(
     shown_world (n, 2) where they are given. A plan that was not found shows start, goal, and the
     passage that is too narrow, if any is.
     """
-    points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
-    if plan.narrow_place is not None:
-        points = np.vstack([points, [plan.narrow_place.x, plan.narrow_place.y]])
-    margin_m, crop = 1.5, max(grid.size_m) > 12.0
-    if shown_world is not None:
-        points, margin_m, crop = np.asarray(shown_world, dtype=float), 0.8, True
-    on_map = points[grid.contains(points)]
-    canvas = Canvas(grid, around_world=on_map if crop and len(on_map) else None, margin_m=margin_m)
+    if shown_world is None:
+        points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
+        if plan.narrow_place is not None:
+            points = np.vstack([points, [plan.narrow_place.x, plan.narrow_place.y]])
+        canvas = Canvas(grid, around_world=surroundings(grid, points), margin_m=1.5)
+    else:
+        around = surroundings(grid, shown_world, is_large=True)
+        canvas = Canvas(grid, around_world=around, margin_m=0.8)
     if plan.found:
         canvas.line(body_path(plan)[:, :2], PATH, 0.02)
     canvas.feet(plan, model, 0.35)

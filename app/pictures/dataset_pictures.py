@@ -138,9 +138,11 @@ def _histogram(axis: Axes, values: NDArray[Any], side: Side, limits: tuple[float
     """Steps of one side, and dotted lines at the limits."""
     span = limits[1] - limits[0] or 1.0
     bins = np.linspace(limits[0] - 0.02 * span, limits[1] + 0.02 * span, 41)
-    colour = _rgb(side)
-    axis.hist(values, bins.tolist(), histtype="stepfilled", color=(*colour, 0.3), edgecolor=colour,
-              linewidth=1.2, label=f"{side.name.lower()} foot")  # fmt: skip
+    # The colour of the foot in the other pictures, which are written blue, green, red.
+    blue, green, red = (value / 255 for value in (LEFT if side == Side.LEFT else RIGHT))
+    label = f"{side.name.lower()} foot"
+    axis.hist(values, bins.tolist(), histtype="stepfilled", color=(red, green, blue, 0.3),
+              edgecolor=(red, green, blue), linewidth=1.2, label=label)  # fmt: skip
     for limit in limits:
         axis.axvline(limit, color="0.4", linestyle=":", linewidth=1.0)
     axis.spines[["top", "right"]].set_visible(False)
@@ -163,9 +165,3 @@ def _lengths_and_goals(axes: NDArray[Any], corpus: Corpus) -> None:
     axes[2].set_ylabel("plans")
     for axis in axes:
         axis.spines[["top", "right"]].set_visible(False)
-
-
-def _rgb(side: Side) -> tuple[float, float, float]:
-    """The colour of a foot in the other pictures, red green blue from 0 to 1."""
-    blue, green, red = LEFT if side == Side.LEFT else RIGHT
-    return red / 255, green / 255, blue / 255

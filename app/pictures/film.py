@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from app.output import ProgressBar, replacing, write_picture
 from app.pictures.canvas import INK, Picture
-from app.pictures.rendering import FOLLOW, SIDE, Footmarks, Recording, View, drawing
+from app.pictures.rendering import FOLLOW, SIDE, Footmark, Recording, View, drawing
 
 if TYPE_CHECKING:
     import mujoco
@@ -27,7 +28,7 @@ def write_film(
     *,
     width: int = 640,
     height: int = 480,
-    marks: Footmarks | None = None,
+    marks: Sequence[Footmark] = (),
 ) -> int:
     """Writes the walk as a film that runs at the speed of the walk; returns the count of frames.
 
@@ -70,7 +71,7 @@ def write_strip(
     view: View = SIDE,
     width: int = 280,
     height: int = 420,
-    marks: Footmarks | None = None,
+    marks: Sequence[Footmark] = (),
 ) -> None:
     """Writes `frames` moments, evenly spread from start_s to end_s, each with its time.
 
@@ -89,10 +90,10 @@ def write_strip(
     with drawing(
         model, recording, view, width=width, height=height, fine=True, marks=marks
     ) as drawer:
-        tiles = [
-            _labelled(drawer.draw(int(moment)), f"{time_s:.2f} s")
-            for moment, time_s in zip(recording.nearest(times_s), times_s, strict=True)
-        ]
+        tiles = [np.ascontiguousarray(drawer.draw(int(k))) for k in recording.nearest(times_s)]
+    font, ink = cv2.FONT_HERSHEY_SIMPLEX, INK[::-1]
+    for picture, time_s in zip(tiles, times_s, strict=True):
+        cv2.putText(picture, f"{time_s:.2f} s", (8, 20), font, 0.5, ink, 1, cv2.LINE_AA)
     write_picture(path, tile(tiles, columns or frames)[:, :, ::-1])
 
 
@@ -102,9 +103,3 @@ def tile(pictures: list[Picture], columns: int) -> Picture:
     pictures = pictures + [blank] * (-len(pictures) % columns)
     rows = [np.hstack(pictures[at : at + columns]) for at in range(0, len(pictures), columns)]
     return np.vstack(rows)
-
-
-def _labelled(picture: Picture, text: str) -> Picture:
-    labelled = np.ascontiguousarray(picture)
-    cv2.putText(labelled, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK[::-1], 1, cv2.LINE_AA)
-    return labelled

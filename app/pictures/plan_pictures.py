@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -33,6 +32,7 @@ from app.pictures.canvas import (
     height_range,
     put_text,
     sole_corners,
+    surroundings,
 )
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
@@ -42,7 +42,6 @@ from planner.search.search_record import SearchRecord
 _PALE, _OUTLINE = 230, (170, 170, 170)  # paler swatches than this get an outline
 LEAST_WIDTH_PX = 640
 LINE_HEIGHT_PX = 26
-LARGE_MAP_M = 12.0  # larger maps are cut to the surroundings of the walk
 _GAP_PX = 16
 FEET = {Side.LEFT: "#1f77b4", Side.RIGHT: "#d62728"}
 GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown
@@ -76,8 +75,13 @@ def with_legend(picture: Picture, title: str, legend: Sequence[Swatch]) -> Pictu
     for number, line in enumerate(lines):
         put_text(whole, line, 12, height_px + (number + 1) * LINE_HEIGHT_PX - 4)
     for number, row in enumerate(rows, start=len(lines)):
+        top_px = height_px + number * LINE_HEIGHT_PX + 7
         for left_px, swatch in row:
-            _draw_swatch(whole, swatch, left_px, height_px + number * LINE_HEIGHT_PX + 7)
+            corners = (left_px, top_px), (left_px + 22, top_px + 11)
+            cv2.rectangle(whole, *corners, swatch.colour, -1 if swatch.filled else 2, cv2.LINE_AA)
+            if swatch.filled and min(swatch.colour) > _PALE:
+                cv2.rectangle(whole, *corners, _OUTLINE, 1, cv2.LINE_AA)
+            put_text(whole, swatch.text, left_px + 30, top_px + 12)
     return whole
 
 
@@ -93,14 +97,6 @@ def _rows(legend: Sequence[Swatch], width_px: int) -> list[list[tuple[int, Swatc
         rows[-1].append((left_px, swatch))
         left_px += needed_px
     return rows
-
-
-def _draw_swatch(picture: Picture, swatch: Swatch, left_px: int, top_px: int) -> None:
-    corners = (left_px, top_px), (left_px + 22, top_px + 11)
-    cv2.rectangle(picture, *corners, swatch.colour, -1 if swatch.filled else 2, cv2.LINE_AA)
-    if swatch.filled and min(swatch.colour) > _PALE:
-        cv2.rectangle(picture, *corners, _OUTLINE, 1, cv2.LINE_AA)
-    put_text(picture, swatch.text, left_px + 30, top_px + 12)
 
 
 def plan_picture(grid: OccupancyGrid, model: StepModel, plan: FootstepPlan) -> Picture:
@@ -122,7 +118,8 @@ def walk_picture(
     placed_side (N,) and placed_world (N, 4): the feet as they came down, in order. body_xy_world
     (T, 2): where the body was.
     """
-    canvas = Canvas(grid, around_world=_surroundings(grid, plan, body_xy_world), margin_m=1.5)
+    points = np.vstack([plan.pose_world[:, :2], body_xy_world, [plan.start[:2], plan.goal[:2]]])
+    canvas = Canvas(grid, around_world=surroundings(grid, points), margin_m=1.5)
     for side in Side:
         canvas.foot(plan.start_feet_world[side], side, model, 0.12)
     for placed, pose_world in zip(placed_side, placed_world, strict=True):
@@ -153,15 +150,6 @@ def _heights(grid: OccupancyGrid) -> list[Swatch]:
     ]
 
 
-def _surroundings(
-    grid: OccupancyGrid, plan: FootstepPlan, body_xy_world: FloatArray
-) -> FloatArray | None:
-    """Points (n, 2) on the map that the picture of a large map is cut to; None shows it whole."""
-    points = np.vstack([plan.pose_world[:, :2], body_xy_world, [plan.start[:2], plan.goal[:2]]])
-    points = points[grid.contains(points)]
-    return points if max(grid.size_m) > LARGE_MAP_M and len(points) else None
-
-
 def _title(plan: FootstepPlan) -> str:
     if not plan.found:
         return f"no plan: {plan.status}: {plan.reason}"
@@ -174,54 +162,37 @@ def write_search_picture(
     """Draws a search over the map of its plan, and its cost over time, into an image file."""
     figure = Figure(figsize=(11, 5), layout="constrained")
     on_map, over_time = figure.subplots(1, 2, width_ratios=(3, 2))
-    _draw_expanded(figure, on_map, grid, plan, record, cell_m)
-    _draw_cost(over_time, plan, record)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=120, format=path.suffix.lstrip(".").lower())
-
-
-def _draw_expanded(
-    figure: Figure,
-    axes: Axes,
-    grid: OccupancyGrid,
-    plan: FootstepPlan,
-    record: SearchRecord,
-    cell_m: float,
-) -> None:
     rows, cols = grid.cells.shape
     corners = np.stack(np.meshgrid(np.arange(cols + 1), np.arange(rows + 1)), axis=-1)
     x_m, y_m = grid.grid_to_world(corners * grid.resolution_m).transpose(2, 0, 1)
-    axes.pcolormesh(x_m, y_m, grid.cells, cmap=ListedColormap(GROUND), vmin=0, vmax=2)
+    on_map.pcolormesh(x_m, y_m, grid.cells, cmap=ListedColormap(GROUND), vmin=0, vmax=2)
     if len(record.expanded):
-        x, y, states = record.expanded.T
-        order = np.argsort(states)
+        x, y, states = record.expanded[np.argsort(record.expanded[:, 2])].T
         norm = LogNorm(1, max(2.0, float(states.max())))
         points_per_m = 72 * figure.get_size_inches()[0] * 0.5 / max(grid.size_m)
         size = max(0.5, (cell_m * points_per_m) ** 2)
-        seen = axes.scatter(
-            x[order], y[order], s=size, c=states[order], norm=norm, cmap="YlGnBu", marker="s", lw=0
-        )
-        figure.colorbar(seen, ax=axes, label="states expanded in a cell of the lattice")
+        seen = on_map.scatter(x, y, s=size, c=states, norm=norm, cmap="YlGnBu", marker="s", lw=0)
+        figure.colorbar(seen, ax=on_map, label="states expanded in a cell of the lattice")
     for side, colour in FEET.items():
         feet = plan.pose_world[plan.side == side]
-        axes.plot(feet[:, 0], feet[:, 1], "o", ms=3, color=colour, label=side.name.lower())
-    axes.set(aspect="equal", xlabel="x, m", ylabel="y, m", title="expanded states")
-    axes.legend(fontsize=8, loc="upper right")
-
-
-def _draw_cost(axes: Axes, plan: FootstepPlan, record: SearchRecord) -> None:
+        on_map.plot(feet[:, 0], feet[:, 1], "o", ms=3, color=colour, label=side.name.lower())
+    on_map.set(aspect="equal", xlabel="x, m", ylabel="y, m", title="expanded states")
+    on_map.legend(fontsize=8, loc="upper right")
     time_ms = 1e3 * record.time_s
     found = np.isfinite(record.cost_m)
-    axes.step(time_ms[found], record.cost_m[found], where="post", label="cost of the best plan")
+    label = "cost of the best plan"
+    over_time.step(time_ms[found], record.cost_m[found], where="post", label=label)
     bound_m = np.maximum.accumulate(record.lower_bound_m)
-    axes.step(time_ms, bound_m, where="post", label="lower bound of any plan")
+    over_time.step(time_ms, bound_m, where="post", label="lower bound of any plan")
     if plan.cost_before_refinement_m is not None:
         label = "the same, refined off the lattice"
-        axes.plot(1e3 * plan.time_s, plan.cost_m, "k*", ms=9, label=label)
-    axes.set(xlabel="time since the request, ms", ylabel="cost, m", title="cost over time")
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8, loc="lower right")
+        over_time.plot(1e3 * plan.time_s, plan.cost_m, "k*", ms=9, label=label)
+    over_time.set(xlabel="time since the request, ms", ylabel="cost, m", title="cost over time")
+    over_time.grid(alpha=0.25)
+    over_time.spines[["top", "right"]].set_visible(False)
+    over_time.legend(frameon=False, fontsize=8, loc="lower right")
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format=path.suffix.lstrip(".").lower())
 
 
 def refinement_picture(
@@ -240,10 +211,9 @@ def refinement_picture(
         for when, plan in (("before", before), ("after", after))
     ]
     # The same part of the map, but a long title may take two lines.
-    height_px = max(panel.shape[0] for panel in panels)
-    width_px = sum(panel.shape[1] for panel in panels) + _GAP_PX
-    whole = np.full((height_px, width_px, 3), PAPER, np.uint8)
     left, right = panels
+    width_px = left.shape[1] + _GAP_PX + right.shape[1]
+    whole = np.full((max(left.shape[0], right.shape[0]), width_px, 3), PAPER, np.uint8)
     whole[: left.shape[0], : left.shape[1]] = left
     whole[: right.shape[0], width_px - right.shape[1] :] = right
     return whole

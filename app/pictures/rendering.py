@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -110,96 +111,92 @@ def eye_position(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Footmarks:
-    """Footprints on the floor of films and strips: plates, each shown for a while.
+class Footmark:
+    """A footprint on the floor of films and strips, shown from from_s until before until_s.
 
-    pose_world (N, 4) x, y, z, yaw of the ground below; rgba (N, 4) from 0 to 1; thickness_m (N,);
-    each is shown from from_s (N,) until before until_s (N,).
+    pose_world (4,): x, y, z, yaw of the ground below it. It is pale unless a foot has been placed.
     """
 
     foot: FootShape
+    side: Side
     pose_world: FloatArray
-    rgba: FloatArray
-    thickness_m: FloatArray
-    from_s: FloatArray
-    until_s: FloatArray
+    is_placed: bool
+    from_s: float
+    until_s: float = math.inf
 
-    def add_to(self, scene: mujoco.MjvScene, time_s: float) -> None:
-        """Adds those that are shown at this time to a scene that is about to be drawn."""
-        import mujoco
 
-        for number in np.flatnonzero((self.from_s <= time_s) & (time_s < self.until_s)):
-            if scene.ngeom >= scene.maxgeom:
-                return
-            x_m, y_m, z_m, yaw_rad = self.pose_world[number]
-            cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-            half_m = self.thickness_m[number] / 2
-            mujoco.mjv_initGeom(
-                scene.geoms[scene.ngeom],
-                mujoco.mjtGeom.mjGEOM_BOX.value,
-                np.array([self.foot.length_m / 2, self.foot.width_m / 2, half_m]),
-                np.array([x_m, y_m, z_m + half_m]),
-                np.array([cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]),
-                self.rgba[number].astype(np.float32),
-            )
-            scene.ngeom += 1
+def add_footmarks(scene: mujoco.MjvScene, marks: Sequence[Footmark], time_s: float) -> None:
+    """Adds those that are shown at this time, as plates, to a scene that is about to be drawn."""
+    import mujoco
+
+    for mark in marks:
+        if scene.ngeom >= scene.maxgeom or not mark.from_s <= time_s < mark.until_s:
+            continue
+        x_m, y_m, z_m, yaw_rad = mark.pose_world
+        cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+        half_m = (_PLACED_THICKNESS_M if mark.is_placed else _PLANNED_THICKNESS_M) / 2
+        # The colours of plans' pictures are written blue, green, red.
+        colour = (LEFT if mark.side is Side.LEFT else RIGHT)[::-1]
+        alpha = _PLACED_ALPHA if mark.is_placed else _PLANNED_ALPHA
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom],
+            mujoco.mjtGeom.mjGEOM_BOX.value,
+            np.array([mark.foot.length_m / 2, mark.foot.width_m / 2, half_m]),
+            np.array([x_m, y_m, z_m + half_m]),
+            np.array([cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]),
+            np.array([*(value / 255 for value in colour), alpha], np.float32),
+        )
+        scene.ngeom += 1
 
 
 def footmarks_of(
     foot: FootShape,
     followed: Sequence[tuple[float, FootstepPlan]],
     placed: Sequence[Placed],
-) -> Footmarks:
+) -> list[Footmark]:
     """The marks of a walk: pale ones for steps that lie ahead, full ones where feet came to rest.
 
     followed: the plans with the times at which they were taken up, in order.
     """
-    poses: list[FloatArray] = []
-    rows: list[tuple[Side, bool, float, float]] = []
+    marks = []
     ends = [*(begun_s for begun_s, _ in followed[1:]), np.inf]
     for (begun_s, plan), end_s in zip(followed, ends, strict=False):
         taken = [step.time_s for step in placed if begun_s < step.time_s <= end_s]
         # A step whose foot has come down gives way to the print of it.
         until = [*taken, *[end_s] * len(plan)]
         for side, pose, until_s in zip(plan.side, plan.pose_world, until, strict=False):
-            poses.append(pose)
-            rows.append((Side(int(side)), False, begun_s, until_s))
+            marks.append(
+                Footmark(
+                    foot=foot,
+                    side=Side(int(side)),
+                    pose_world=pose,
+                    is_placed=False,
+                    from_s=begun_s,
+                    until_s=until_s,
+                )
+            )
     for step in placed:
-        poses.append(step.placed_world)
-        rows.append((step.side, True, step.time_s, np.inf))
-    return Footmarks(
-        foot=foot,
-        pose_world=np.array(poses, dtype=np.float64).reshape(-1, 4),
-        rgba=np.array([_rgba(side, done) for side, done, _, _ in rows]).reshape(-1, 4),
-        thickness_m=np.where(
-            [done for _, done, _, _ in rows], _PLACED_THICKNESS_M, _PLANNED_THICKNESS_M
-        ),
-        from_s=np.array([from_s for _, _, from_s, _ in rows]),
-        until_s=np.array([until_s for _, _, _, until_s in rows]),
-    )
-
-
-def _rgba(side: Side, is_placed: bool) -> list[float]:
-    """The colours of plans' pictures, which are written blue, green, red there."""
-    colour = LEFT if side is Side.LEFT else RIGHT
-    alpha = _PLACED_ALPHA if is_placed else _PLANNED_ALPHA
-    return [*(value / 255 for value in colour[::-1]), alpha]
+        pose, from_s = step.placed_world, step.time_s
+        marks.append(
+            Footmark(foot=foot, side=step.side, pose_world=pose, is_placed=True, from_s=from_s)
+        )
+    return marks
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
     """A walk as it happened: qpos (T, nq) of the model at the times time_s (T,), in order.
 
-    ground_m (T,): height of the ground below the robot, 0 unless given.
+    ground_m (T,), or one for all: height of the ground below the robot.
     """
 
     qpos: FloatArray
     time_s: NDArray[np.floating]
-    ground_m: FloatArray | None = None
+    ground_m: FloatArray | float = 0.0
 
     def __post_init__(self) -> None:
-        if self.ground_m is not None and self.ground_m.shape != self.time_s.shape:
-            raise ValueError(f"ground_m {self.ground_m.shape} must be as time_s")
+        if np.shape(self.ground_m) not in ((), self.time_s.shape):
+            raise ValueError(f"ground_m {np.shape(self.ground_m)} must be as time_s")
         if self.qpos.ndim != 2 or self.time_s.shape != self.qpos.shape[:1]:
             raise ValueError(
                 f"qpos {self.qpos.shape} must be (T, nq) with T as in time_s {self.time_s.shape}"
@@ -251,7 +248,7 @@ def camera_path(recording: Recording, view: View) -> CameraPath:
     """
     w, x, y, z = recording.qpos[:, 3:7].T
     yaw_rad = np.unwrap(np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))
-    ground_m = np.zeros(len(yaw_rad)) if recording.ground_m is None else recording.ground_m
+    ground_m = np.broadcast_to(recording.ground_m, yaw_rad.shape)
     place_m = np.column_stack([recording.qpos[:, :2], yaw_rad, ground_m])
     smooth = _smooth(place_m, recording.time_s, view.smooth_s)
     return CameraPath(
@@ -282,7 +279,7 @@ class Drawer:
         data: mujoco.MjData,
         recording: Recording,
         view: View,
-        marks: Footmarks | None = None,
+        marks: Sequence[Footmark] = (),
     ) -> None:
         import mujoco
 
@@ -290,6 +287,7 @@ class Drawer:
         self._marks = marks
         self._data = data
         self._recording = recording
+        self._ground_m = np.broadcast_to(recording.ground_m, recording.time_s.shape)
         self._path = camera_path(recording, view)
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
@@ -314,18 +312,15 @@ class Drawer:
         self._camera.azimuth = self._path.azimuth_deg[index]
         self._make_glass(index)
         self._renderer.update_scene(self._data, self._camera, self._shown)
-        if self._marks is not None:
-            self._marks.add_to(self._renderer.scene, float(self._recording.time_s[index]))
+        add_footmarks(self._renderer.scene, self._marks, float(self._recording.time_s[index]))
         return np.array(self._renderer.render())
 
     def _make_glass(self, index: int) -> None:
         """Makes the walls that hide the robot from the camera see-through, the others as were."""
         camera = self._camera
         eye_m = eye_position(camera.lookat, camera.distance, camera.azimuth, camera.elevation)
-        ground_m = self._recording.ground_m
-        points_m = points_to_see(
-            np.array(self._data.qpos[:2]), eye_m, 0.0 if ground_m is None else ground_m[index]
-        )
+        place_m, ground_m = np.array(self._data.qpos[:2]), self._ground_m[index]
+        points_m = points_to_see(place_m, eye_m, ground_m)
         hidden_by = hides(self._walls, eye_m, points_m)
         self._renderer.model.geom_rgba[self._walls.geom, 3] = np.where(
             hidden_by, np.minimum(GLASS_ALPHA, self._alpha), self._alpha
@@ -341,7 +336,7 @@ def drawing(
     width: int,
     height: int,
     fine: bool = False,
-    marks: Footmarks | None = None,
+    marks: Sequence[Footmark] = (),
 ) -> Iterator[Drawer]:
     """Gives a Drawer of pictures of this size, with the footprints `marks` on the floor.
 
