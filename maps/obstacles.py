@@ -32,20 +32,8 @@ def merge_rectangles(blocked: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 def _grow(cells: NDArray[np.bool_]) -> tuple[int, int]:
     """Height and width of the rectangle at (0, 0) that takes its whole first run, then rows."""
-    width = _run(cells[0])
-    return _run_of_rows(cells, width), width
-
-
-def _run(line: NDArray[np.bool_]) -> int:
-    ends = np.flatnonzero(~line)
-    return int(ends[0]) if ends.size else len(line)
-
-
-def _run_of_rows(cells: NDArray[np.bool_], width: int) -> int:
-    height = 1
-    while height < len(cells) and cells[height, :width].all():
-        height += 1
-    return height
+    width = int(np.argmin(np.append(cells[0], False)))
+    return int(np.argmin(np.append(cells[:, :width].all(axis=1), False))), width
 
 
 def obstacle_boxes(blocked: NDArray[np.bool_], resolution_m: float) -> NDArray[np.float64]:

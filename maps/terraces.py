@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -26,26 +26,32 @@ class Terraces:
 
     ground: floor that is higher than lowest_m, solid from there up to its height. walls: blocked
     cells, with the height of the floor that they rise from. lowest_m: the floor everywhere else.
+    origin: pose x_m, y_m, yaw_rad of the grid frame in the world.
     """
 
-    ground: FloatArray
-    walls: FloatArray
+    ground: FloatArray = field(default_factory=lambda: np.zeros((0, 5)))
+    walls: FloatArray = field(default_factory=lambda: np.zeros((0, 5)))
     lowest_m: float = 0.0
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def terraces_of(grid: OccupancyGrid, blocked: NDArray[np.bool_]) -> Terraces:
     """Floor and walls of a map whose cells (H, W) are blocked or not."""
     if grid.elevation_m is None:
         flat = obstacle_boxes(blocked, grid.resolution_m)
-        walls = np.column_stack([flat, np.zeros(len(flat))])
-        return Terraces(ground=np.zeros((0, 5)), walls=walls)
+        return Terraces(walls=np.column_stack([flat, np.zeros(len(flat))]), origin=grid.origin)
     heights_m = _levels(grid.elevation_m)
     lowest_m = float(heights_m[~blocked].min()) if not blocked.all() else 0.0
-    feet_m = _feet_of_walls(heights_m, blocked, lowest_m, grid.resolution_m)
+    # Walls rise from their own heights in the map, or from those of higher floor beside them.
+    side = 2 * math.ceil(_BESIDE_WALL_M / grid.resolution_m) + 1
+    floor_m = np.where(blocked, lowest_m, heights_m)
+    beside_m = cv2.dilate(floor_m, np.ones((side, side), np.uint8))
+    feet_m = np.maximum(np.maximum(heights_m, lowest_m), beside_m)
     return Terraces(
         ground=_boxes(~blocked & (heights_m > lowest_m), heights_m, grid.resolution_m),
         walls=_boxes(blocked, feet_m, grid.resolution_m),
         lowest_m=lowest_m,
+        origin=grid.origin,
     )
 
 
@@ -58,17 +64,6 @@ def plates_of(grid: OccupancyGrid, cells: NDArray[np.bool_]) -> FloatArray:
 def _levels(heights_m: FloatArray) -> FloatArray:
     levels: FloatArray = np.round(np.round(heights_m / _LEVEL_M) * _LEVEL_M, 6)
     return levels
-
-
-def _feet_of_walls(
-    heights_m: FloatArray, blocked: NDArray[np.bool_], lowest_m: float, resolution_m: float
-) -> FloatArray:
-    """Heights (H, W) from which walls rise: their own in the map, or of higher floor beside."""
-    side = 2 * math.ceil(_BESIDE_WALL_M / resolution_m) + 1
-    floor_m = np.where(blocked, lowest_m, heights_m)
-    beside_m = cv2.dilate(floor_m, np.ones((side, side), np.uint8))
-    feet_m: FloatArray = np.maximum(np.maximum(heights_m, lowest_m), beside_m)
-    return feet_m
 
 
 def _boxes(cells: NDArray[np.bool_], heights_m: FloatArray, resolution_m: float) -> FloatArray:

@@ -6,20 +6,14 @@ They come with the package that the extra `unitree` installs.
 from __future__ import annotations
 
 import importlib.resources
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sim.robot import (
-    LEFT_LEG_BITS,
-    RIGHT_LEG_BITS,
-    UPPER_BODY_BITS,
-    LegJoint,
-    Robot,
-)
+from sim.robot import LEFT_LEG_BITS, RIGHT_LEG_BITS, UPPER_BODY_BITS, LegJoint, Robot
 from sim.solids import VISUAL, Colour, Shapes, Vector, add_shapes, add_sole, fix_joint
 
 if TYPE_CHECKING:
@@ -111,10 +105,12 @@ def _bodies_and_joints(model: MenagerieModel) -> mujoco.MjSpec:
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(_path(model.file)))
-    for kind in (spec.geoms, spec.meshes, spec.materials, spec.textures, spec.sites, spec.lights):
-        _delete(spec, kind)
-    for kind in (spec.actuators, spec.sensors, spec.keys, spec.excludes, spec.cameras):
-        _delete(spec, kind)
+    for kind in (
+        *(spec.geoms, spec.meshes, spec.materials, spec.textures, spec.sites, spec.lights),
+        *(spec.actuators, spec.sensors, spec.keys, spec.excludes, spec.cameras),
+    ):
+        for element in list(kind):
+            spec.delete(element)
     spec.compiler.fusestatic = True
     moved = {joint.name for joint in model.joints}
     for joint in list(spec.joints):
@@ -133,27 +129,17 @@ def _path(model: str) -> Path:
     return Path(str(importlib.resources.files(PACKAGE))) / _FOLDER / model
 
 
-def _delete(spec: mujoco.MjSpec, elements: Iterable[object]) -> None:
-    for element in list(elements):
-        spec.delete(element)
-
-
 def _make_symmetric(spec: mujoco.MjSpec) -> None:
     """Make inertias symmetric; the models' rounding would disturb a mirrored policy."""
     for body in list(spec.bodies):
         if body.name.startswith("right_"):
             twin = spec.body(body.name.replace("right_", "left_", 1))
             body.mass, body.inertia = twin.mass, twin.inertia
-            body.ipos, body.iquat = twin.ipos * [1, -1, 1], _mirrored_quat(twin.iquat)
+            body.ipos, body.iquat = twin.ipos * [1, -1, 1], twin.iquat * [1, -1, 1, -1]
         elif not body.name.startswith("left_") and body.mass > 0:
             body.ipos = body.ipos * [1, 0, 1]
             body.fullinertia = _middle_inertia(body.inertia, body.iquat)
             body.inertia, body.iquat = [0, 0, 0], [1, 0, 0, 0]
-
-
-def _mirrored_quat(quat: np.ndarray) -> np.ndarray:
-    """The turn (w, x, y, z) seen in the mirror y = 0."""
-    return np.asarray(quat) * [1, -1, 1, -1]
 
 
 def _middle_inertia(inertia: np.ndarray, quat: np.ndarray) -> np.ndarray:

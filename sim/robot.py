@@ -1,18 +1,8 @@
 """What is special about one robot: a value that names it, and the rules its model keeps to.
 
-A robot is one file in `sim/robots/` that defines `ROBOT`. Its `build()` returns an `MjSpec`
-that keeps to these names, so that no other file knows the robot's own:
-
-| element | name | |
-|---|---|---|
-| body | `pelvis` | carries the free joint `root`, x forward, z up |
-| bodies | `left_leg`, `right_leg` | first body of each leg; the whole leg is its subtree |
-| joints | `Robot.joints[i].name` | the actuated ones, no others |
-| geoms | `left_foot`, `right_foot` | the sole boxes, footprint equal to `step_model.foot` |
-| sites | `left_sole`, `right_sole` | centre of the sole's underside, x along the foot |
-| site | `head` | for the upright-posture reward |
-
-Collision geoms are in group 3, visual ones in group 2 (no contacts).
+A robot is one file in `sim/robots/` that defines `ROBOT`. Its `build()` returns an `MjSpec` that
+keeps to the names in docs/adding-a-robot.md, so that no other file knows the robot's own. Collision
+geoms are in group 3, visual ones in group 2 (no contacts).
 """
 
 from __future__ import annotations

@@ -9,17 +9,10 @@ import mujoco
 import numpy as np
 
 from maps.grid import OccupancyGrid
-from maps.terraces import terraces_of
+from maps.terraces import Terraces, terraces_of
 from sim.robot import Robot
 from sim.sensors import SIDES, Sensors, add_sensors
-from sim.terrain import (
-    MapBoxes,
-    add_floor,
-    add_ground,
-    add_treads,
-    add_walls,
-    yaw_quaternion,
-)
+from sim.terrain import add_floor, add_ground, add_treads, add_walls, yaw_quaternion
 
 PHYSICS_TIMESTEP_S = 0.001
 WALL_HEIGHT_M = 1.0
@@ -30,18 +23,7 @@ def scene_of(
 ) -> Scene:
     """The robot among the map's obstacles, at the physics rate of navigation."""
     terraces = terraces_of(grid, grid.blocked(unknown_is_free))
-    walls_m = terraces.walls + np.array([0.0, 0.0, 0.0, 0.0, WALL_HEIGHT_M])
-
-    def placed(boxes_m: np.ndarray) -> MapBoxes:
-        return MapBoxes(boxes_m=boxes_m, lowest_m=terraces.lowest_m, origin=grid.origin)
-
-    return build_scene(
-        robot,
-        timestep_s=PHYSICS_TIMESTEP_S,
-        walls=placed(walls_m),
-        ground=None if grid.elevation_m is None else placed(terraces.ground),
-        visuals=visuals,
-    )
+    return build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S, terraces=terraces, visuals=visuals)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,16 +71,15 @@ def build_scene(
     robot: Robot,
     *,
     timestep_s: float,
-    walls: MapBoxes | None = None,
-    ground: MapBoxes | None = None,
+    terraces: Terraces | None = None,
     visuals: bool = False,
     treads: bool = False,
 ) -> Scene:
-    """The robot in half-sitting on a floor among walls.
+    """The robot in half-sitting on the floor among the walls of a map, by default a bare one.
 
     With `visuals` the model also gets sky, light, floor pattern and the robot's meshes, if it
     has any; they change nothing in the physics. With `treads` the floor can be moved and there are
-    treads to be placed, per simulation (`sim.terrain`). `ground` is that of a map that is not flat.
+    treads to be placed, per simulation (`sim.terrain`).
     """
     spec = robot.build()
     spec.modelname = robot.name
@@ -109,9 +90,9 @@ def build_scene(
         add_treads(spec)
     else:
         add_floor(spec.worldbody)
-    if ground is not None:
-        add_ground(spec, ground)
-    add_walls(spec, walls or MapBoxes())
+    terraces = terraces or Terraces()
+    add_ground(spec, terraces)
+    add_walls(spec, terraces, WALL_HEIGHT_M)
     add_sensors(spec, robot)
     if visuals:
         _add_looks(spec)

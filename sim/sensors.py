@@ -60,58 +60,41 @@ def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Add every sensor to a scene that has the robot and a body named `walls`."""
     sensor, objects = mujoco.mjtSensor, mujoco.mjtObj
 
-    def frame(name: str, kind: mujoco.mjtSensor, object_type: mujoco.mjtObj, of: str) -> None:
+    def add(name: str, kind: mujoco.mjtSensor, object_type: mujoco.mjtObj, of: str) -> None:
         spec.add_sensor(name=name, type=kind, objtype=object_type, objname=of)
 
+    def contact(
+        name: str,
+        field: mujoco.mjtConDataField,
+        second: tuple[mujoco.mjtObj, str],
+        **first: Any,
+    ) -> None:
+        """The net of all contacts between the two, or of anything with the second.
+
+        A force is the one that the first exerts on the second, in world axes.
+        """
+        net_force = 3  # mjSENS_CONTACT's reduction over all matching contacts, in world axes
+        spec.add_sensor(
+            name=name,
+            type=sensor.mjSENS_CONTACT,
+            reftype=second[0],
+            refname=second[1],
+            intprm=[1 << int(field), net_force, 1],
+            **first,
+        )
+
     for side in SIDES:
-        sole = f"{side}_sole"
-        frame(f"{sole}_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, sole)
-        frame(f"{sole}_x_axis", sensor.mjSENS_FRAMEXAXIS, objects.mjOBJ_SITE, sole)
-        frame(f"{sole}_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_SITE, sole)
-        _contact(
-            spec,
-            f"{side}_ground_force",
-            None,
-            (objects.mjOBJ_GEOM, f"{side}_foot"),
-            mujoco.mjtConDataField.mjCONDATA_FORCE,
-        )
-    frame("head_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, "head")
-    frame("pelvis_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_XBODY, "pelvis")
-    frame("pelvis_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_XBODY, "pelvis")
+        sole, foot = f"{side}_sole", (objects.mjOBJ_GEOM, f"{side}_foot")
+        add(f"{sole}_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, sole)
+        add(f"{sole}_x_axis", sensor.mjSENS_FRAMEXAXIS, objects.mjOBJ_SITE, sole)
+        add(f"{sole}_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_SITE, sole)
+        contact(f"{side}_ground_force", mujoco.mjtConDataField.mjCONDATA_FORCE, foot)
+    body = objects.mjOBJ_XBODY
+    add("head_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, "head")
+    add("pelvis_pos", sensor.mjSENS_FRAMEPOS, body, "pelvis")
+    add("pelvis_linvel", sensor.mjSENS_FRAMELINVEL, body, "pelvis")
     found = mujoco.mjtConDataField.mjCONDATA_FOUND
-    left, right = ((objects.mjOBJ_XBODY, f"{side}_leg") for side in SIDES)
-    _contact(spec, "legs_touching", left, right, found)
-    walls = (objects.mjOBJ_XBODY, "walls")
-    _contact(spec, "wall_contacts", (objects.mjOBJ_XBODY, "pelvis"), walls, found)
+    contact("legs_touching", found, (body, "right_leg"), objtype=body, objname="left_leg")
+    contact("wall_contacts", found, (body, "walls"), objtype=body, objname="pelvis")
     for joint in robot.joints:
-        frame(
-            f"{joint.name}_torque",
-            sensor.mjSENS_JOINTACTFRC,
-            objects.mjOBJ_JOINT,
-            joint.name,
-        )
-
-
-def _contact(
-    spec: mujoco.MjSpec,
-    name: str,
-    first: tuple[mujoco.mjtObj, str] | None,
-    second: tuple[mujoco.mjtObj, str],
-    field: mujoco.mjtConDataField,
-) -> None:
-    """A contact sensor: the net of all contacts between the two; no first means anything.
-
-    A force is the one that the first exerts on the second, in world axes.
-    """
-    extra: dict[str, Any] = {}
-    if first is not None:
-        extra = {"objtype": first[0], "objname": first[1]}
-    net_force = 3  # mjSENS_CONTACT's reduction over all matching contacts, in world axes
-    spec.add_sensor(
-        name=name,
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        reftype=second[0],
-        refname=second[1],
-        intprm=[1 << int(field), net_force, 1],
-        **extra,
-    )
+        add(f"{joint.name}_torque", sensor.mjSENS_JOINTACTFRC, objects.mjOBJ_JOINT, joint.name)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -28,11 +28,14 @@ VISUAL: Mapping[str, Any] = MappingProxyType(
 
 
 class Solid:
-    """Base of all solids."""
+    """Base of all solids; `POINTS` names their fields that are points."""
+
+    POINTS: ClassVar[tuple[str, ...]]
 
     def mirrored(self) -> Self:
         """The solid of the other side: y negated."""
-        raise NotImplementedError
+        solid: Any = self  # a dataclass, each of its own
+        return replace(solid, **{name: mirrored(getattr(self, name)) for name in self.POINTS})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +45,8 @@ class Block(Solid):
     `below` and `above` are the centres of its end faces, `size_below` and `size_above` their
     extents along x and y.
     """
+
+    POINTS = ("below", "above")
 
     below: Vector
     above: Vector
@@ -64,39 +69,32 @@ class Block(Solid):
             rings.append(np.column_stack([ring, np.zeros(len(ring))]) + centre)
         return np.concatenate(rings)
 
-    def mirrored(self) -> Self:
-        """The block of the other side."""
-        return replace(self, below=mirrored(self.below), above=mirrored(self.above))
-
 
 @dataclass(frozen=True, kw_only=True)
 class Rod(Solid):
     """A cylinder, or with `is_round` a capsule, between the centres of its ends."""
 
-    ends: tuple[Vector, Vector]
+    POINTS = ("first", "last")
+
+    first: Vector
+    last: Vector
     radius: float
     is_round: bool = False
-
-    def mirrored(self) -> Self:
-        """The rod of the other side."""
-        return replace(self, ends=(mirrored(self.ends[0]), mirrored(self.ends[1])))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box(Solid):
     """A box along the axes of its body's frame, with its extents along x, y and z."""
 
+    POINTS = ("centre",)
+
     centre: Vector
     size: Vector
 
-    def mirrored(self) -> Self:
-        """The box of the other side."""
-        return replace(self, centre=mirrored(self.centre))
 
-
-def capsule(first: Vector, second: Vector, radius: float) -> Rod:
+def capsule(first: Vector, last: Vector, radius: float) -> Rod:
     """The capsule between two points."""
-    return Rod(ends=(first, second), radius=radius, is_round=True)
+    return Rod(first=first, last=last, radius=radius, is_round=True)
 
 
 # Body -> name of the shape -> shape, in the body's frame.
@@ -177,6 +175,6 @@ def _primitive(solid: Solid) -> dict[str, Any]:
         raise TypeError(f"{solid} is no primitive shape of MuJoCo: take a Rod or a Box")
     return {
         "type": kinds.mjGEOM_CAPSULE if solid.is_round else kinds.mjGEOM_CYLINDER,
-        "fromto": [*solid.ends[0], *solid.ends[1]],
+        "fromto": [*solid.first, *solid.last],
         "size": [solid.radius, 0, 0],
     }

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from maps.terraces import Terraces
 from sim.robot import GROUND_PREFIX, SURROUNDINGS_BITS
 
 TREADS = 9
@@ -22,6 +23,7 @@ LANDING_DEPTH_M, LANDING_WIDTH_M = 3.0, 2.4
 BLOCK_HEIGHT_M = 2.4
 PARKED_Z_M = -20.0
 FLOOR_BODY = "movable_floor"
+_BITS = dict(zip(("contype", "conaffinity"), SURROUNDINGS_BITS, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +41,6 @@ class Ground:
 
 def add_treads(spec: mujoco.MjSpec) -> None:
     """Put the floor into a body of its own and add the treads and landings, parked."""
-    contype, conaffinity = SURROUNDINGS_BITS
     add_floor(spec.worldbody.add_body(name=FLOOR_BODY, mocap=True))
     sizes = {
         "tread": (TREADS, TREAD_DEPTH_M, TREAD_WIDTH_M),
@@ -51,9 +52,8 @@ def add_treads(spec: mujoco.MjSpec) -> None:
             body.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX,
                 size=[depth_m / 2, width_m / 2, BLOCK_HEIGHT_M / 2],
-                contype=contype,
-                conaffinity=conaffinity,
                 rgba=(0.66, 0.62, 0.56, 1.0),
+                **_BITS,
             )
 
 
@@ -88,10 +88,7 @@ class GroundBatch:
                 f"at most {TREADS} and {LANDINGS}"
             )
         self._position[row, self._floor, 2] = ground.floor_z_m
-        for bodies, poses in (
-            (self._treads, ground.treads),
-            (self._landings, ground.landings),
-        ):
+        for bodies, poses in ((self._treads, ground.treads), (self._landings, ground.landings)):
             for body, (x, y, z, yaw) in zip(bodies, poses, strict=False):
                 self._position[row, body] = x, y, z - BLOCK_HEIGHT_M / 2
                 self._quaternion[row, body] = yaw_quaternion(yaw)
@@ -101,65 +98,50 @@ _WALL_RGBA = (0.72, 0.66, 0.58, 1.0)
 _LOW_RGB, _HIGH_RGB = np.array([0.83, 0.84, 0.85]), np.array([0.80, 0.70, 0.56])
 
 
-@dataclass(frozen=True, kw_only=True)
-class MapBoxes:
-    """Upright boxes of a map: its walls, or ground that is not flat.
-
-    `boxes_m` is (n, 5): centre x, centre y, half length x, half length y and height of the upper
-    face in the map's own frame; all reach down to `lowest_m`. `origin` is that frame's pose x_m,
-    y_m, yaw_rad in the world.
-    """
-
-    boxes_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
-    lowest_m: float = 0.0
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+def add_ground(spec: mujoco.MjSpec, terraces: Terraces) -> None:
+    """Lower the floor to the lowest ground and add what is higher, browner with height."""
+    spec.geom("floor").pos = [0, 0, terraces.lowest_m]
+    if len(terraces.ground) > 0:
+        heights_m = terraces.ground[:, 4:] - terraces.lowest_m
+        share = heights_m / max(heights_m.max(), 1e-9)
+        rgb = (1 - share) * _LOW_RGB + share * _HIGH_RGB
+        rgba = np.column_stack([rgb, np.ones(len(rgb))])
+        _add_boxes(spec, "ground", terraces, terraces.ground, rgba, geom_prefix=GROUND_PREFIX)
 
 
-def add_ground(spec: mujoco.MjSpec, ground: MapBoxes) -> None:
-    """Lower the floor to the lowest ground and add the boxes, browner with height."""
-    spec.geom("floor").pos = [0, 0, ground.lowest_m]
-    heights_m = ground.boxes_m[:, 4:] - ground.lowest_m
-    share = heights_m / max(heights_m.max(initial=0.0), 1e-9)
-    rgb = (1 - share) * _LOW_RGB + share * _HIGH_RGB
-    rgba = np.column_stack([rgb, np.ones(len(rgb))])
-    _add_boxes(spec, "ground", ground, rgba, geom_prefix=GROUND_PREFIX)
-
-
-def add_walls(spec: mujoco.MjSpec, walls: MapBoxes) -> None:
+def add_walls(spec: mujoco.MjSpec, terraces: Terraces, height_m: float) -> None:
     """Add all walls in one body named `walls`, which is there also when the map has none."""
-    _add_boxes(spec, "walls", walls, np.tile(_WALL_RGBA, (len(walls.boxes_m), 1)))
+    boxes = terraces.walls + np.array([0.0, 0.0, 0.0, 0.0, height_m])
+    _add_boxes(spec, "walls", terraces, boxes, np.tile(_WALL_RGBA, (len(boxes), 1)))
 
 
 def _add_boxes(
-    spec: mujoco.MjSpec, name: str, boxes: MapBoxes, rgba: np.ndarray, geom_prefix: str = ""
+    spec: mujoco.MjSpec,
+    name: str,
+    terraces: Terraces,
+    boxes_m: np.ndarray,
+    rgba: np.ndarray,
+    geom_prefix: str = "",
 ) -> None:
-    """Add static boxes in a body of that name; rgba (n, 4)."""
-    x, y, yaw = boxes.origin
+    """Add static boxes (n, 5) up from the lowest ground in a body of that name; rgba (n, 4)."""
+    x, y, yaw = terraces.origin
     body = spec.worldbody.add_body(name=name, pos=[x, y, 0], quat=yaw_quaternion(yaw))
-    contype, conaffinity = SURROUNDINGS_BITS
-    for number, (centre_x, centre_y, half_x, half_y, top) in enumerate(boxes.boxes_m):
-        half_z = (top - boxes.lowest_m) / 2
+    for number, (centre_x, centre_y, half_x, half_y, top) in enumerate(boxes_m):
+        half_z = (top - terraces.lowest_m) / 2
         body.add_geom(
             name=f"{geom_prefix}{number}" if geom_prefix else "",
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[centre_x, centre_y, boxes.lowest_m + half_z],
+            pos=[centre_x, centre_y, terraces.lowest_m + half_z],
             size=[half_x, half_y, half_z],
-            contype=contype,
-            conaffinity=conaffinity,
             rgba=rgba[number],
+            **_BITS,
         )
 
 
 def add_floor(body: mujoco.MjsBody) -> None:
     """Add the floor, a plane, to a body."""
-    contype, conaffinity = SURROUNDINGS_BITS
-    body.add_geom(
-        name="floor",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0, 0, 0.05],
-        contype=contype,
-        conaffinity=conaffinity,
-    )
+    plane = mujoco.mjtGeom.mjGEOM_PLANE
+    body.add_geom(name="floor", type=plane, size=[0, 0, 0.05], **_BITS)
 
 
 def yaw_quaternion(yaw_rad: float) -> np.ndarray:

@@ -9,13 +9,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from maps.terraces import Terraces
 from sim.batch import SimBatch
 from sim.clearance import min_clearance_m
 from sim.robot import PHYSICS_GROUP
 from sim.robots import get_robot, robot_names
 from sim.scene import WALL_HEIGHT_M, Scene, build_scene
 from sim.sensors import SIDES
-from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground, MapBoxes
+from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground
 from tests.scenes import mirrored_qpos, mirrored_qvel, posture_over, reach_m, standing
 
 CONTROL_PERIOD_S = 0.025
@@ -180,10 +181,9 @@ def test_a_wall_is_felt_and_its_distance_measured(name, gap_m, touches):
     assert reach <= robot.step_model.body.width_m / 2
     wall_y = reach + gap_m + 0.05
     # The wall's own frame is turned and shifted, as a map's may be.
-    walls = MapBoxes(
-        boxes_m=np.array([[wall_y, 0.0, 0.05, 2.0, WALL_HEIGHT_M]]), origin=(0.0, 0.0, np.pi / 2)
-    )
-    scene = build_scene(robot, timestep_s=0.001, walls=walls)
+    wall = np.array([[wall_y, 0.0, 0.05, 2.0, 0.0]])
+    terraces = Terraces(walls=wall, origin=(0.0, 0.0, np.pi / 2))
+    scene = build_scene(robot, timestep_s=0.001, terraces=terraces)
     data = standing(scene)
     assert (data.sensordata[scene.sensors.wall_contacts[0]] > 0) == touches
     measured = min_clearance_m(scene, scene.standing_qpos[None])

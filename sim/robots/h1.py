@@ -14,7 +14,7 @@ from __future__ import annotations
 from planner.robot_model import BodyShape, FootShape, StepLimits
 from sim.menagerie import MenagerieModel
 from sim.robot import GaitTiming, RobotStepModel, both_legs
-from sim.solids import Box, Shapes, capsule
+from sim.solids import Box, capsule
 
 FOOT = FootShape(length_m=0.22, width_m=0.08)
 
@@ -26,43 +26,28 @@ _LEG = (
     ("knee", 250, 25, 300, 14, 0.1, 43, 1),
     ("ankle", 60, 6, 40, 9, 0.1, -26, 1),
 )
-# At 0 the forearms point forward.
-ARM_POSE_RAD = {"left_elbow": 1.1, "right_elbow": 1.1}
 
-_LEG_SHAPES: Shapes = {
-    "hip_pitch_link": {"thigh": capsule((0.02, 0, -0.02), (0.01, 0, -0.37), 0.055)},
-    "knee_link": {"shank": capsule((0, 0, -0.03), (-0.01, 0, -0.33), 0.045)},
-}
-_ARM_SHAPES: Shapes = {
-    "shoulder_yaw_link": {"upper_arm": capsule((0, 0, 0.13), (0.01, 0, -0.20), 0.05)},
-    "elbow_link": {"forearm": capsule((0, 0, -0.01), (0.28, 0, -0.01), 0.042)},
-}
-_BODY_SHAPES: Shapes = {
-    "pelvis": {"hips": capsule((-0.02, -0.07, -0.12), (-0.02, 0.07, -0.12), 0.09)},
-    "torso_link": {
-        "torso": Box(centre=(0.02, 0, 0.24), size=(0.19, 0.32, 0.44)),
-        "skull": capsule((0.03, 0, 0.56), (0.03, 0, 0.66), 0.092),
-    },
-}
-
-# Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
-STEPS = (
-    *((x, 0.40, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.28)),
-    *((x, 0.45, 0.0) for x in (-0.10, 0.0, 0.10)),
-    *((x, 0.35, 0.0) for x in (-0.10, 0.0, 0.15)),
-    *((x, 0.40, 0.25) for x in (-0.05, 0.0, 0.10, 0.20)),
-    *((x, 0.40, 0.1) for x in (0.0, 0.10, 0.25)),
-    *((x, 0.40, -0.1) for x in (0.0, 0.10, 0.20)),
-)
-
-MODEL = MenagerieModel(
+_MODEL = MenagerieModel(
     file="unitree_h1/h1.xml",
     renamed={"left_hip_yaw_link": "left_leg", "right_hip_yaw_link": "right_leg"},
     joints=both_legs(_LEG, named="{side}_{joint}"),
-    held_rad=ARM_POSE_RAD,
-    leg_shapes=_LEG_SHAPES,
-    arm_shapes=_ARM_SHAPES,
-    body_shapes=_BODY_SHAPES,
+    # At 0 the forearms point forward.
+    held_rad={"left_elbow": 1.1, "right_elbow": 1.1},
+    leg_shapes={
+        "hip_pitch_link": {"thigh": capsule((0.02, 0, -0.02), (0.01, 0, -0.37), 0.055)},
+        "knee_link": {"shank": capsule((0, 0, -0.03), (-0.01, 0, -0.33), 0.045)},
+    },
+    arm_shapes={
+        "shoulder_yaw_link": {"upper_arm": capsule((0, 0, 0.13), (0.01, 0, -0.20), 0.05)},
+        "elbow_link": {"forearm": capsule((0, 0, -0.01), (0.28, 0, -0.01), 0.042)},
+    },
+    body_shapes={
+        "pelvis": {"hips": capsule((-0.02, -0.07, -0.12), (-0.02, 0.07, -0.12), 0.09)},
+        "torso_link": {
+            "torso": Box(centre=(0.02, 0, 0.24), size=(0.19, 0.32, 0.44)),
+            "skull": capsule((0.03, 0, 0.56), (0.03, 0, 0.66), 0.092),
+        },
+    },
     foot="ankle_link",
     sole_m=(0.055, 0, -0.07),
     sole_size_m=(FOOT.length_m, FOOT.width_m, 0.02),
@@ -70,14 +55,22 @@ MODEL = MenagerieModel(
     colours={"black": (0.16, 0.17, 0.19, 1.0), "white": (0.92, 0.92, 0.93, 1.0)},
 )
 
-ROBOT = MODEL.robot(
+ROBOT = _MODEL.robot(
     name="h1",
     title="Unitree H1",
     step_model=RobotStepModel(
         foot=FOOT,
         body=BodyShape(length_m=0.36, width_m=0.56),
         limits=StepLimits(x_m=(-0.17, 0.29), y_m=(0.33, 0.46), yaw_rad=(-0.13, 0.27)),
-        steps=STEPS,
+        # Of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
+        steps=(
+            *((x, 0.40, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.28)),
+            *((x, 0.45, 0.0) for x in (-0.10, 0.0, 0.10)),
+            *((x, 0.35, 0.0) for x in (-0.10, 0.0, 0.15)),
+            *((x, 0.40, 0.25) for x in (-0.05, 0.0, 0.10, 0.20)),
+            *((x, 0.40, 0.1) for x in (0.0, 0.10, 0.25)),
+            *((x, 0.40, -0.1) for x in (0.0, 0.10, 0.20)),
+        ),
         stance_width_m=0.40,
         body_margin_m=0.08,
     ),

@@ -27,6 +27,7 @@ from sim.robot import (
     RIGHT_LEG_BITS,
     UPPER_BODY_BITS,
     GaitTiming,
+    LegRow,
     Robot,
     RobotStepModel,
     both_legs,
@@ -56,29 +57,20 @@ SIDES = {"left": 1, "right": -1}  # and where y points outward
 FOOT = FootShape(length_m=0.23, width_m=0.13)
 SOLE_M = (0.015, 0.010, -0.102)
 
-# Joint, body, torque limit (N m), speed limit (rad/s): PAPER. Armature (kg m2), half-sitting
-# (deg): MJLAB; the angles sum to 0, so the pelvis is upright over flat soles. Range of the left
-# joint (deg), positive about the axis: WRS.
-_JOINTS = (
-    ("CY", "hip_yaw", 250, 10.29, 0.110084846291, 0.0, (-45, 45)),
-    ("CR", "hip_roll", 600, 7.85, 0.317032732584, 0.0, (-45, 45)),
-    ("CP", "thigh", 600, 8.58, 0.317032732584, -26.87, (-125, 77)),
-    ("KP", "shank", 1420, 4.66, 1.174334694856, 50.0, (0, 150)),
-    ("AP", "ankle", 300, 8.49, 0.161699903568, -23.13, (-85, 55)),
-    ("AR", "foot_link", 250, 10.19, 0.112299753167, 0.0, (-50, 45)),
+# Name, kp, kd, torque limit (N m), speed limit (rad/s), armature (kg m2), half-sitting (deg) and
+# mirror sign; body; range of the left joint (deg), positive about the axis. Limits: PAPER.
+# Armature, angles: MJLAB; the angles sum to 0, so the pelvis is upright over flat soles. Ranges:
+# WRS. Gains ESTIMATED: twice those of JVRC-1, a robot of three fifths the mass.
+_JOINTS: tuple[tuple[LegRow, str, tuple[float, float]], ...] = (
+    (("CY", 400, 40, 250, 10.29, 0.110084846291, 0.0, -1), "hip_yaw", (-45, 45)),
+    (("CR", 400, 40, 600, 7.85, 0.317032732584, 0.0, -1), "hip_roll", (-45, 45)),
+    (("CP", 400, 40, 600, 8.58, 0.317032732584, -26.87, 1), "thigh", (-125, 77)),
+    (("KP", 500, 50, 1420, 4.66, 1.174334694856, 50.0, 1), "shank", (0, 150)),
+    (("AP", 160, 16, 300, 8.49, 0.161699903568, -23.13, 1), "ankle", (-85, 55)),
+    (("AR", 160, 16, 250, 10.19, 0.112299753167, 0.0, -1), "foot_link", (-50, 45)),
 )
 _AXES = {"Y": (0, 0, 1), "R": (1, 0, 0), "P": (0, 1, 0)}  # by the last letter of the joint's name
-# Servo gains, ESTIMATED: twice those of JVRC-1, a robot of three fifths the mass.
-_KP = (400, 400, 400, 500, 160, 160)
-_KD_OF_KP = 0.1
-JOINTS = both_legs(
-    [
-        (name, kp, _KD_OF_KP * kp, torque, speed, armature, angle_deg, 1 if name[-1] == "P" else -1)
-        for (name, _, torque, speed, armature, angle_deg, _), kp in zip(_JOINTS, _KP, strict=True)
-    ],
-    named="{side}{joint}",
-    sides=("L", "R"),
-)
+JOINTS = both_legs([row for row, *_ in _JOINTS], named="{side}{joint}", sides=("L", "R"))
 # ESTIMATED, as in the public model of JVRC-1; N m s/rad.
 DAMPING = 0.2
 
@@ -145,8 +137,8 @@ def _block(
     return Block(below=below, above=above, size_below=size_below, size_above=size_above)
 
 
-def _rod(first: Vector, second: Vector, radius: float) -> Rod:
-    return Rod(ends=(first, second), radius=radius)
+def _rod(first: Vector, last: Vector, radius: float) -> Rod:
+    return Rod(first=first, last=last, radius=radius)
 
 
 _LOOKS: dict[str, tuple[tuple[Solid, Colour], ...]] = {
@@ -217,15 +209,6 @@ _LOOKS: dict[str, tuple[tuple[Solid, Colour], ...]] = {
     ),
 }
 
-# Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
-STEPS = (
-    *((x, 0.21, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.30)),
-    *((x, 0.31, 0.0) for x in (-0.10, 0.0, 0.15)),
-    *((x, 0.23, 0.3) for x in (-0.05, 0.0, 0.10, 0.20)),
-    *((x, 0.23, 0.15) for x in (0.0, 0.10, 0.25)),
-    *((x, 0.21, -0.15) for x in (0.0, 0.10, 0.20)),
-)
-
 
 def _set_mass(
     body: mujoco.MjsBody, mass_kg: float, com_m: Vector, inertia: tuple[float, ...]
@@ -239,7 +222,7 @@ def _add_leg(pelvis: mujoco.MjsBody, side: str, outward: int, bits: tuple[int, i
     body = pelvis
     turn = np.array([1, 1, 1, outward, 1, outward])
     for joint, link in zip(_JOINTS, _LEG_LINKS, strict=True):
-        (name, body_name, *_, range_deg), (pos, mass_kg, com, inertia) = joint, link
+        ((name, *_), body_name, range_deg), (pos, mass_kg, com, inertia) = joint, link
         body = body.add_body(
             name=f"{side}_leg" if body is pelvis else f"{side}_{body_name}", pos=_to(outward, pos)
         )
@@ -344,7 +327,14 @@ ROBOT = Robot(
         body=BodyShape(length_m=0.52, width_m=0.64),
         # Well inside what is trained, as for JVRC-1.
         limits=replace(LIMITS, x_m=(-0.16, 0.31), y_m=(0.18, 0.33), yaw_rad=(-0.16, 0.31)),
-        steps=STEPS,
+        # Of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
+        steps=(
+            *((x, 0.21, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.30)),
+            *((x, 0.31, 0.0) for x in (-0.10, 0.0, 0.15)),
+            *((x, 0.23, 0.3) for x in (-0.05, 0.0, 0.10, 0.20)),
+            *((x, 0.23, 0.15) for x in (0.0, 0.10, 0.25)),
+            *((x, 0.21, -0.15) for x in (0.0, 0.10, 0.20)),
+        ),
         stance_width_m=0.21,
         level_margin_m=0.01,
         body_margin_m=0.11,

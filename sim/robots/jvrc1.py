@@ -73,33 +73,18 @@ _BODY_SHAPES: Shapes = {
     "NECK_P_S": {"head": capsule((0.01, 0, 0.05), (0.01, 0, 0.11), 0.10)},
 }
 
-# Steps of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
-STEPS = (
-    *((x, 0.20, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.30)),
-    *((x, 0.30, 0.0) for x in (-0.10, 0.0, 0.15)),
-    *((x, 0.22, 0.3) for x in (-0.05, 0.0, 0.10, 0.20)),
-    *((x, 0.22, 0.15) for x in (0.0, 0.10, 0.25)),
-    *((x, 0.20, -0.15) for x in (0.0, 0.10, 0.20)),
-)
-
-
-def _urdf_without_meshes() -> str:
-    """The URDF's text without visuals and collisions: MuJoCo does not read .dae meshes."""
-    import jvrc_description
-
-    root = ET.parse(jvrc_description.urdf_path).getroot()
-    for link in root.findall("link"):
-        for tag in ("visual", "collision"):
-            for element in link.findall(tag):
-                link.remove(element)
-    return ET.tostring(root, encoding="unicode")
-
 
 def build() -> mujoco.MjSpec:
     """The model: bodies and joints from the URDF, collision shapes of our own."""
+    import jvrc_description
     import mujoco
 
-    spec = mujoco.MjSpec.from_string(_urdf_without_meshes())
+    root = ET.parse(jvrc_description.urdf_path).getroot()
+    for link in root.findall("link"):
+        # MuJoCo does not read .dae meshes.
+        for element in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(element)
+    spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
     # Links without a joint of their own are merged into their parents: 13 bodies move.
     spec.compiler.fusestatic = True
     # The empty root link takes the free joint, and so the name; the pelvis link merges into it.
@@ -159,7 +144,14 @@ ROBOT = Robot(
         limits=StepLimits(
             x_m=(-0.15, 0.31), y_m=(0.16, 0.31), yaw_rad=(-0.16, 0.30), z_m=(-0.10, 0.10)
         ),
-        steps=STEPS,
+        # Of the search, outward (x m, y m, yaw rad): within the limits with room for rounding.
+        steps=(
+            *((x, 0.20, 0.0) for x in (-0.15, -0.10, 0.0, 0.10, 0.20, 0.30)),
+            *((x, 0.30, 0.0) for x in (-0.10, 0.0, 0.15)),
+            *((x, 0.22, 0.3) for x in (-0.05, 0.0, 0.10, 0.20)),
+            *((x, 0.22, 0.15) for x in (0.0, 0.10, 0.25)),
+            *((x, 0.20, -0.15) for x in (0.0, 0.10, 0.20)),
+        ),
         stance_width_m=0.20,
         body_margin_m=0.11,
         # It lifts its feet by 20 cm. Of 50 walks between rooms with sills as high none fell.
