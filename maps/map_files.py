@@ -134,34 +134,34 @@ def read_metadata(file: Path) -> MapMetadata:
     try:
         document = yaml.safe_load(file.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise MapError(f"map {file}: cannot be read as text ({_one_line(error)})") from None
+        raise MapError(
+            f"map {file}: cannot be read as text ({' '.join(str(error).split())})"
+        ) from None
     except yaml.YAMLError as error:
-        raise MapError(f"map {file}: not valid YAML ({_one_line(error)})") from None
+        raise MapError(f"map {file}: not valid YAML ({' '.join(str(error).split())})") from None
     if not isinstance(document, dict):
         raise MapError(f"map {file}: must hold keys such as `image:` and `resolution:`")
     for key in REQUIRED_KEYS:
         if key not in document:
             raise MapError(f"map {file}: key `{key}` is missing")
     for key in document.keys() - {*REQUIRED_KEYS, *OPTIONAL_KEYS, *ELEVATION_KEYS}:
-        warnings.warn(f"map {file}: key `{key}` means nothing here", MapWarning, stacklevel=4)
+        _warn(f"map {file}: key `{key}` means nothing here")
     image = document["image"]
     if not isinstance(image, str) or not image:
         raise MapError(f"map {file}: image {image!r} must be the name of a picture")
+    negate = document["negate"]
+    if not isinstance(negate, bool) and negate not in (0, 1):
+        raise MapError(f"map {file}: negate {negate!r} must be 0, 1, true or false")
     metadata = MapMetadata(
         image=file.parent / image,
         resolution_m=_number("resolution", document["resolution"], file),
         origin=_origin(document["origin"], file),
-        negate=_negate(document["negate"], file),
+        negate=bool(negate),
         occupied_thresh=_number("occupied_thresh", document.get("occupied_thresh", 0.65), file),
         free_thresh=_number("free_thresh", document.get("free_thresh", 0.196), file),
         mode=str(document.get("mode", "trinary")).lower(),
         **_elevation_metadata(document, file),
     )
-    _check_metadata(metadata, file)
-    return metadata
-
-
-def _check_metadata(metadata: MapMetadata, file: Path) -> None:
     _require_above_0("resolution", metadata.resolution_m, "pixel", file)
     if metadata.mode not in MODES:
         raise MapError(f"map {file}: mode {metadata.mode!r} must be one of {', '.join(MODES)}")
@@ -170,14 +170,14 @@ def _check_metadata(metadata: MapMetadata, file: Path) -> None:
             f"map {file}: free_thresh {metadata.free_thresh:g} and occupied_thresh "
             f"{metadata.occupied_thresh:g} must satisfy 0 <= free_thresh < occupied_thresh <= 1"
         )
+    return metadata
 
 
 def _elevation_metadata(document: dict[Any, Any], file: Path) -> dict[str, Any]:
     """The fields of `MapMetadata` about heights; none where the YAML names no picture of them."""
     if "elevation" not in document:
         for key in document.keys() & set(ELEVATION_KEYS):
-            text = f"map {file}: key `{key}` means nothing without `elevation`"
-            warnings.warn(text, MapWarning, stacklevel=5)
+            _warn(f"map {file}: key `{key}` means nothing without `elevation`")
         return {}
     image = document["elevation"]
     if not isinstance(image, str) or not image:
@@ -216,6 +216,10 @@ def _read_elevation(
     return np.ascontiguousarray(heights_m[::-1])
 
 
+def _warn(text: str) -> None:
+    warnings.warn(text, MapWarning, stacklevel=4)
+
+
 def _require_above_0(name: str, value_m: float, per: str, file: Path) -> None:
     if value_m <= 0:
         raise MapError(f"map {file}: {name} {value_m:g} must be above 0 (metres per {per})")
@@ -239,23 +243,18 @@ def _origin(value: Any, file: Path) -> Pose:
     return x_m, y_m, yaw_rad
 
 
-def _negate(value: Any, file: Path) -> bool:
-    if isinstance(value, bool) or value in (0, 1):
-        return bool(value)
-    raise MapError(f"map {file}: negate {value!r} must be 0, 1, true or false")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
-
-
 def read_image(file: Path) -> NDArray[np.generic]:
     """Picture (H, W) or (H, W, channels BGR or BGRA), uint8 or uint16. Raises MapError.
 
-    White is the type's largest value.
+    White is the type's largest value: binary PGM files name their own white.
     """
     image, data = _decode(file)
-    return _full_range(image, data)
+    header = re.match(rb"P5(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+(\d+)", data)
+    full = np.iinfo(image.dtype).max
+    white = int(header[1]) if header else full
+    if white in (0, full):
+        return image
+    return np.rint(np.minimum(image, white) * (full / white)).astype(image.dtype)
 
 
 def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
@@ -279,16 +278,6 @@ def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
     return image, data
 
 
-def _full_range(image: NDArray[Any], data: bytes) -> NDArray[np.generic]:
-    """The picture with white at the type's largest value: binary PGM files name their own white."""
-    header = re.match(rb"P5(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+(\d+)", data)
-    full = np.iinfo(image.dtype).max
-    white = int(header[1]) if header else full
-    if white in (0, full):
-        return image
-    return np.rint(np.minimum(image, white) * (full / white)).astype(image.dtype)
-
-
 def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid:
     """Occupancy grid of a picture (H, W[, channels]) read with the metadata's rules."""
     grey, opaque = _grey_and_opaque(image)
@@ -304,7 +293,15 @@ def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid
     free = known & (occupancy <= metadata.free_thresh)
     cells[free] = Cell.FREE
     cells[known & (occupancy >= metadata.occupied_thresh)] = Cell.OCCUPIED
-    _warn_about(metadata, free, np.rint(grey * (255.0 / full)) == UNKNOWN_GREY)
+    unknown_grey = np.rint(grey * (255.0 / full)) == UNKNOWN_GREY
+    count = int(np.count_nonzero(free & unknown_grey))
+    if count and metadata.mode != "raw" and not metadata.negate:
+        _warn(
+            f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels of "
+            f"the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown"
+        )
+    if not free.any():
+        _warn(f"map {metadata.image}: no free cell at all; check negate and free_thresh")
     return OccupancyGrid(
         cells=cells[::-1], resolution_m=metadata.resolution_m, origin=metadata.origin
     )
@@ -321,25 +318,6 @@ def _grey_and_opaque(image: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[
     else:
         grey = image.reshape(*image.shape[:2], -1)[..., 0]
     return grey.astype(np.float64), opaque
-
-
-def _warn_about(
-    metadata: MapMetadata, free: NDArray[np.bool_], unknown_grey: NDArray[np.bool_]
-) -> None:
-    count = int(np.count_nonzero(free & unknown_grey))
-    if count and metadata.mode != "raw" and not metadata.negate:
-        warnings.warn(
-            f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels of "
-            f"the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown",
-            MapWarning,
-            stacklevel=3,
-        )
-    if not free.any():
-        warnings.warn(
-            f"map {metadata.image}: no free cell at all; check negate and free_thresh",
-            MapWarning,
-            stacklevel=3,
-        )
 
 
 YAML, IMAGE, HEIGHTS = "map.yaml", "map", "map_height"
