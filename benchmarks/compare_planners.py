@@ -1,11 +1,13 @@
-"""All planners side by side on a large office: `python -m benchmarks.compare_planners --side-m 60`.
+"""All planners side by side on large maps: `python -m benchmarks.compare_planners --side-m 60`.
 
-The office is drawn from the seed: rooms of 6 m by 6 m with doors in three of four walls and four
-pieces of furniture each. Start and goal are random free poses at least half a side apart. Each
-planner makes a first plan, and one with its default effort; every plan is checked by exact
-polygons. Times are CPU time of this one thread from the map to the plan, with distance field and
-heuristic; compiling and the tables of the robot come before. Costs are relative to the least cost
-found by any planner for the query.
+The square maps are drawn from the seed. `office`: rooms of 6 m by 6 m with doors in three of four
+walls and four pieces of furniture each. `boxes`: one box of 0.2 to 1.5 m per --box-area-m2 of
+floor. `detour`: empty but for walls right across it that leave a door of 1.2 m at alternating ends.
+Start and goal are random free poses at least half a side apart. Each planner makes a first plan,
+and unless --first-only one with its default effort; none has seen the map before, and every plan is
+checked by exact polygons. Times are CPU time of this one thread from the map to the plan, with
+distance field and heuristic; compiling and the tables of the robot come before. Costs are relative
+to the least cost found by any planner for the query.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import resource
 import sys
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import tyro
@@ -33,17 +36,22 @@ _CELL_M, _ROOM_M, _DOOR_M, _WALL_CELLS = 0.05, 6.0, 1.2, 3
 
 @dataclass(frozen=True, kw_only=True)
 class Arguments:
-    """All planners on a large office.
+    """All planners on large maps.
 
-    side_m: of the square office. names: planners to run. count: queries. seed: of office, queries
-    and planners. limit_s: time limit of a plan; 0 for none.
+    maps: office, boxes, detour. side_m: of the square maps. box_area_m2: of floor to a box. walls:
+    of the detour. names: planners to run. count: queries per map. seed: of maps, queries and
+    planners. limit_s: time limit of a plan; 0 for none. first_only: leave default effort out.
     """
 
+    maps: tuple[Literal["office", "boxes", "detour"], ...] = ("office",)
     side_m: float = 60.0
+    box_area_m2: float = 4.0
+    walls: int = 3
     names: tuple[str, ...] = PLANNERS
     count: int = 10
     seed: int = 0
     limit_s: float = 20.0
+    first_only: bool = False
 
 
 def office(side_m: float, seed: int) -> OccupancyGrid:
@@ -70,6 +78,29 @@ def office(side_m: float, seed: int) -> OccupancyGrid:
                 cells[row + y : row + y + height, col + x : col + x + width] = Cell.OCCUPIED
     for edge in (np.s_[:_WALL_CELLS], np.s_[-_WALL_CELLS:]):
         cells[edge] = cells[:, edge] = Cell.OCCUPIED
+    return OccupancyGrid(cells=cells, resolution_m=_CELL_M)
+
+
+def boxes(side_m: float, box_area_m2: float, seed: int) -> OccupancyGrid:
+    """A square floor with boxes at random places."""
+    rng = np.random.default_rng(seed)
+    side = round(side_m / _CELL_M)
+    cells = np.zeros((side, side), np.uint8)
+    for _ in range(round(side_m**2 / box_area_m2)):
+        height, width = rng.integers(4, 31, 2)
+        row, col = rng.integers(0, side, 2)
+        cells[row : row + height, col : col + width] = Cell.OCCUPIED
+    return OccupancyGrid(cells=cells, resolution_m=_CELL_M)
+
+
+def detour(side_m: float, walls: int) -> OccupancyGrid:
+    """A square floor with walls right across it, and a door at alternating ends of them."""
+    side, door = round(side_m / _CELL_M), round(_DOOR_M / _CELL_M)
+    cells = np.zeros((side, side), np.uint8)
+    for number in range(walls):
+        col = (number + 1) * side // (walls + 1)
+        rows = np.s_[:-door] if number % 2 else np.s_[door:]
+        cells[rows, col : col + _WALL_CELLS] = Cell.OCCUPIED
     return OccupancyGrid(cells=cells, resolution_m=_CELL_M)
 
 
@@ -124,11 +155,29 @@ def measure(
 def main() -> None:
     """Runs all planners and prints the table."""
     arguments = tyro.cli(Arguments)
-    grid = office(arguments.side_m, arguments.seed)
+    side_m, seed = arguments.side_m, arguments.seed
+    print(
+        "| map | planner | first plan, ms, median / p95 | expansions | its cost | bound "
+        "| default effort, ms, median / p95 | expansions | its cost | bound | found |\n"
+        "|---|---|---|---|---|---|---|---|---|---|---|"
+    )
+    for name in arguments.maps:
+        if name == "office":
+            grid = office(side_m, seed)
+        elif name == "boxes":
+            grid = boxes(side_m, arguments.box_area_m2, seed)
+        else:
+            grid = detour(side_m, arguments.walls)
+        compare(name, grid, arguments)
+
+
+def compare(map_name: str, grid: OccupancyGrid, arguments: Arguments) -> None:
+    """Runs all planners on a map and prints its rows."""
     queries = draw_queries(grid, arguments.count, arguments.seed)
+    efforts = (True,) if arguments.first_only else (True, False)
     rows = {}
     for name in arguments.names:
-        for first in (True, False):
+        for first in efforts:
             options = PlannerOptions(
                 name=name,
                 stop_at_first=first,
@@ -141,18 +190,18 @@ def main() -> None:
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             print(f"{name}: {peak:.0f} MB", file=sys.stderr)
     least_m = np.nanmin([measured[:, 1] for measured in rows.values()], axis=0)
-    print(
-        "| planner | first plan, ms, median / p95 | its cost | default effort, ms, median / p95 "
-        "| its cost | found |\n|---|---|---|---|---|---|"
-    )
     for name in arguments.names:
-        columns = []
-        for first in (True, False):
-            spent_s, cost_m = rows[name, first].T[:2]
+        columns = ["- | - | - | -"] * 2
+        for column, first in enumerate(efforts):
+            spent_s, cost_m, expansions, bound = rows[name, first].T
             median, p95 = np.percentile(spent_s * 1e3, (50, 95))
-            columns.append(f"{median:.0f} / {p95:.0f} | {np.nanmedian(cost_m / least_m):.2f}")
-        found = int(np.isfinite(rows[name, False][:, 1]).sum())
-        print(f"| `{name}` | {columns[0]} | {columns[1]} | {found} of {len(queries)} |")
+            columns[column] = (
+                f"{median:.0f} / {p95:.0f} | {np.median(expansions):.0f} "
+                f"| {np.nanmedian(cost_m / least_m):.2f} "
+                f"| {np.median(bound[np.isfinite(cost_m)]):.2f}"
+            )
+        found = np.isfinite(cost_m).sum()
+        print(f"| {map_name} | `{name}` | {' | '.join(columns)} | {found} of {len(queries)} |")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,11 +23,10 @@ import numpy as np
 from app.options import MapOptions, load_walker, read_grid
 from app.viewer.page import Page, open_page
 from app.viewer.session import Session
-from benchmarks.page_watcher import Watcher, painted_in_background
+from benchmarks.page_watcher import Watcher, painted_in_background, wait
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 
-WAIT_LIMIT_S = 300.0
 ABOVE_M = 5.0
 # So long nothing must come before the next click.
 QUIET_S = 0.3
@@ -112,17 +111,8 @@ def planner_s(session: Session) -> float:
     return int(nanoseconds) / 1e9
 
 
-def wait(wanted: Callable[[], bool]) -> None:
-    """Waits until something is so."""
-    until_s = time.monotonic() + WAIT_LIMIT_S
-    while not wanted():
-        if time.monotonic() > until_s:
-            raise TimeoutError("waited in vain")
-        time.sleep(0.001)
-
-
 def print_row(name: str, row: tuple[float, ...]) -> None:
-    """Footprints milliseconds below the header."""
+    """Prints milliseconds below the header."""
     wall, answer, server, planner = row
     print(f"{name:13s} {wall:16.0f} {answer:14.0f} {server:11.0f} {planner:12.0f}", flush=True)
 

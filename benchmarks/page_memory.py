@@ -9,7 +9,7 @@ walks as fast as it goes and the scene is drawn --updates times a round (2,000 a
 frames a second); with --minutes it walks in real time instead, drawn as `serve` draws it, for so
 long.
 
-Footprints what is held after every few rounds, how many messages there ever were, and the processor
+Prints what is held after every few rounds, how many messages there ever were, and the processor
 time that the opening of a page takes: the median of a few, all threads of the server and of the
 page that opens. Needs no browser; memory is read from /proc (Linux).
 """
@@ -28,10 +28,9 @@ from pathlib import Path
 
 from app.options import MapOptions, load_walker, read_grid
 from app.viewer.page import Page, open_page
-from benchmarks.page_watcher import Watcher, painted_in_background
+from benchmarks.page_watcher import Watcher, painted_in_background, wait
 
 GOALS = ((2.0, 1.0, 1.57), (0.0, 0.0, 3.1))
-WAIT_LIMIT_S = 300.0
 ROWS = 12
 OPENINGS = 5
 # A robot that stands is simulated for two seconds, and drawn; then it is measured.
@@ -55,10 +54,8 @@ def main() -> None:
     robot, policy = load_walker("jvrc1")
     with ExitStack() as stack:
         page = stack.enter_context(open_page(grid, robot, policy, title="memory"))
-        if options.minutes is None:
-            walks: Walks = HurriedWalks(page, options.updates)
-        else:
-            walks = RealWalks(page)
+        walks = Walks(page, options.updates if options.minutes is None else None)
+        if options.minutes is not None:
             stack.enter_context(painted_in_background(page))
         page.session.start()
         for _ in range(options.watchers):
@@ -71,7 +68,8 @@ def main() -> None:
                 done = walks.minutes / options.minutes
             if done * ROWS >= rows:
                 rows += 1
-                walks.rest()
+                if options.minutes is not None:
+                    time.sleep(REST_S)
                 report(number, walks)
             if done >= 1.0:
                 return
@@ -82,14 +80,22 @@ def main() -> None:
 
 
 class Walks:
-    """Walks to and fro on a page, round by round; counts the minutes, frames and new plans."""
+    """Walks to and fro on a page, round by round; counts the minutes, frames and new plans.
 
-    def __init__(self, page: Page) -> None:
+    With `updates` the robot walks as fast as it goes, and all that `serve` draws now and then is
+    drawn at each frame, so often in each round; without it walks in real time, drawn by another.
+    """
+
+    def __init__(self, page: Page, updates: int | None) -> None:
         self.page = page
         self.frames = self.replans = 0
+        self._updates = updates
         self._began_s = time.monotonic()
         # Every drawing counts, whichever thread does it.
         self._show, page.show = page.show, self._count  # type: ignore[method-assign]
+        if updates is not None:
+            page.text_every_s = page.plot_every_s = 0.0
+            page.session.clock.factor = math.inf
 
     @property
     def minutes(self) -> float:
@@ -103,71 +109,34 @@ class Walks:
     def walk(self, number: int) -> None:
         """One round: a goal, a box on the way there, and on."""
         page, session = self.page, self.page.session
-        self.wait(lambda: session.snapshot.status in ("standing", "reached"))
+        self._wait(lambda: session.snapshot.status in ("standing", "reached"))
         before = session.snapshot.walk
         session.go_to(GOALS[number % 2])
-        self.wait(lambda: session.snapshot.walk > before and len(session.snapshot.placed_side) > 0)
+        self._wait(lambda: session.snapshot.walk > before and len(session.snapshot.placed_side) > 0)
         page.obstacle_editor.add((-1.0, -1.0), (0.2, 0.2))
-        self.wait(lambda: session.snapshot.replans > 0 or session.snapshot.status != "walking")
+        self._wait(lambda: session.snapshot.replans > 0 or session.snapshot.status != "walking")
         page.obstacle_editor.clear()
-        self.draw_much()
-        self.wait(lambda: session.snapshot.status != "walking")
+        for _ in range(self._updates or 0):
+            page.show(session.snapshot)
+        self._wait(lambda: session.snapshot.status != "walking")
         ended = session.snapshot
         if ended.status != "reached":
             session.reset()
-            self.wait(lambda: session.snapshot.walk > ended.walk)
+            self._wait(lambda: session.snapshot.walk > ended.walk)
         self.replans += ended.replans
 
-    def wait(self, wanted: Callable[[], bool]) -> None:
+    def _wait(self, wanted: Callable[[], bool]) -> None:
         """Lets time pass until something is so."""
-        until_s = time.monotonic() + WAIT_LIMIT_S
-        while not wanted():
-            if time.monotonic() > until_s:
-                snapshot = self.page.session.snapshot
-                raise TimeoutError(f"the robot is {snapshot.status}, {snapshot.notice}")
-            self.pass_time()
+        wait(wanted, self._pass_time)
 
-    def pass_time(self) -> None:
-        """What happens while something is waited for."""
-        time.sleep(0.05)
-
-    def draw_much(self) -> None:
-        """What is drawn in each round besides."""
-
-    def rest(self) -> None:
-        """Returns when the robot rests and nothing is drawn."""
-
-
-class HurriedWalks(Walks):
-    """As fast as the robot goes, with all that `serve` draws now and then drawn at each frame."""
-
-    def __init__(self, page: Page, updates: int) -> None:
-        super().__init__(page)
-        self._updates = updates
-        page.text_every_s = page.plot_every_s = 0.0
-        page.session.clock.factor = math.inf
-
-    def pass_time(self) -> None:
-        """Draws, and waits a little."""
-        self.page.show(self.page.session.snapshot)
-        time.sleep(0.005)
-
-    def draw_much(self) -> None:
-        """The updates of the round."""
-        for _ in range(self._updates):
+    def _pass_time(self) -> None:
+        if self._updates is not None:
             self.page.show(self.page.session.snapshot)
-
-
-class RealWalks(Walks):
-    """In real time, drawn by somebody else."""
-
-    def rest(self) -> None:
-        """Until the robot is no longer simulated."""
-        time.sleep(REST_S)
+        time.sleep(0.05 if self._updates is None else 0.005)
 
 
 def report(number: int, walks: Walks) -> None:
-    """Footprints a row of what is held."""
+    """Prints a row of what is held."""
     page = walks.page
     gc.collect()
     opening_ms = 1000 * statistics.median(opening_s(page) for _ in range(OPENINGS))
@@ -188,11 +157,7 @@ def opening_s(page: Page) -> float:
     """Processor time until one more page has all that is to be seen, while nothing is drawn."""
     began_s = time.process_time()
     watcher = Watcher(page.server.url)
-    until_s = time.monotonic() + WAIT_LIMIT_S
-    while not watcher.heard["ReplayDoneMessage"]:
-        if time.monotonic() > until_s:
-            raise TimeoutError("a page that opens is not told all")
-        time.sleep(0.001)
+    wait(lambda: watcher.heard["ReplayDoneMessage"] > 0)
     took_s = time.process_time() - began_s
     watcher.close()
     return took_s

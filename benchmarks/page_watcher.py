@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import msgspec
@@ -18,6 +19,7 @@ from websockets.sync.client import connect
 from app.viewer.page import Page
 
 _SEEN_M = (0.0, -5.0, 5.0)
+_WAIT_LIMIT_S = 300.0
 
 
 class Watcher:
@@ -115,3 +117,14 @@ def painted_in_background(page: Page) -> Iterator[None]:
     finally:
         ends.set()
         painter.join()
+
+
+def wait(
+    wanted: Callable[[], bool], pass_time: Callable[[], None] = lambda: time.sleep(0.001)
+) -> None:
+    """Waits until something is so; raises TimeoutError after five minutes."""
+    until_s = time.monotonic() + _WAIT_LIMIT_S
+    while not wanted():
+        if time.monotonic() > until_s:
+            raise TimeoutError("waited in vain")
+        pass_time()

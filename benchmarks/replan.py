@@ -72,19 +72,15 @@ class Walk:
             off = self.rng.normal(size=4) * (_OFF_M, _OFF_M, 0.0, _OFF_RAD)
             feet[side] = plan.pose_world[0] + off
             floor = self._with_block(plan) if blocks and number % blocks == 0 else None
-            plan = self._again(feet, side.other, floor)
+            began = time.process_time()
+            if floor is not None:
+                self.planner.take_map(floor)
+            plan = self.planner.plan(start_feet_world=feet, first_side=side.other, goal=self.goal)
+            self.spent.append((time.process_time() - began, plan.expansions, plan.epsilon))
+            if plan.found:
+                grid, model = self.planner.grid, self.planner.model
+                self.wrong += bool(violations(plan, grid, model, stood_freely=False))
         self.lost += not plan.found
-
-    def _again(self, feet: np.ndarray, side: Side, floor: OccupancyGrid | None) -> FootstepPlan:
-        began = time.process_time()
-        if floor is not None:
-            self.planner.take_map(floor)
-        plan = self.planner.plan(start_feet_world=feet, first_side=side, goal=self.goal)
-        self.spent.append((time.process_time() - began, plan.expansions, plan.epsilon))
-        if plan.found:
-            grid, model = self.planner.grid, self.planner.model
-            self.wrong += bool(violations(plan, grid, model, stood_freely=False))
-        return plan
 
     def _with_block(self, plan: FootstepPlan) -> OccupancyGrid:
         """The map with a block on the plan, but neither at its end nor off the map."""
