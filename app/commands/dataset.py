@@ -51,10 +51,10 @@ from app.workers import in_order, portions
 from maps.map_files import HEIGHTS, IMAGE, YAML, MapError, copy_map, find_map
 from planner.corpus.corpus import MANIFEST, PLANS, Corpus, CorpusError, corpus_of
 from planner.options import PLANNERS, PlannerOptions
+from planner.plan import to_frame
 from sim.robot import Robot
 
 if TYPE_CHECKING:
-    from planner.corpus.check import Rules
     from planner.corpus.generate import Drawn, RandomPlans
 
 FORMATS = ("npz", "lhw")
@@ -291,16 +291,10 @@ def lhw_text(corpus: Corpus, stance_width_m: float) -> str:
     half_m = stance_width_m / 2
     for i in range(len(corpus)):
         side, pose = corpus.plan(i)
-        x_m, y_m, yaw_rad = corpus.start[i]
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        away = pose[:, :2] - (x_m, y_m)
+        x_m, y_m, _ = to_frame(pose[:, [0, 1, 3]], corpus.start[i]).T
+        turns = [math.remainder(yaw - corpus.start[i, 2], 2 * math.pi) for yaw in pose[:, 3]]
         steps = [(0.0, half_m if side[0] == 1 else -half_m, 0.0)] if len(side) else []
-        steps += zip(
-            cos * away[:, 0] + sin * away[:, 1],
-            cos * away[:, 1] - sin * away[:, 0],
-            [math.remainder(yaw - yaw_rad, 2 * math.pi) for yaw in pose[:, 3]],
-            strict=True,
-        )
+        steps += zip(x_m, y_m, turns, strict=True)
         lines += [",".join(repr(float(value)) for value in step) for step in steps]
         lines.append("---")
     return "\n".join(lines) + "\n"
@@ -340,14 +334,22 @@ def folder_to_fill(out: Path) -> Iterator[Path]:
 
 def run_check(options: DatasetCheckOptions) -> int:
     """Carries the command out; returns the exit code."""
-    from planner.corpus.check import rules_of
+    from planner.corpus.check import check_plans, plan_of, rules_of
 
     with as_bad_input(CorpusError, MapError):
         corpus = Corpus.load(options.folder, even_if_changed=True)
         rules = rules_of(options.folder, corpus)
     if options.robot is not None:
         rules = dataclasses.replace(rules, model=find_robot(options.robot).step_model)
-    wrong = check(corpus, rules, options.workers)
+    portion_of = portions(len(corpus), options.workers, CHECK_PORTION)
+    width_m = rules.model.stance_width_m
+    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
+    wrong: dict[int, list[str]] = {}  # by the number of the plan
+    with ProgressBar("plans", len(corpus)) as bar:
+        found = in_order(functools.partial(check_plans, rules), jobs, options.workers)
+        for numbers, lines in zip(portion_of, found, strict=True):
+            wrong |= {n: those for n, those in zip(numbers, lines, strict=True) if those}
+            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
     digest = hashlib.sha256((options.folder / PLANS).read_bytes()).hexdigest()
     changed = digest != corpus.manifest.get("sha256")
     document = {
@@ -364,27 +366,11 @@ def run_check(options: DatasetCheckOptions) -> int:
     else:
         counts = f"{len(corpus)} plans with {len(corpus.side)} steps"
         print(f"{counts}: " + (f"{len(wrong)} plans are wrong" if wrong else "all are right"))
-    lines = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
-    for line in lines[:_SHOWN]:
+    told = [f"plan {number}: {line}" for number, lines in wrong.items() for line in lines]
+    for line in told[:_SHOWN]:
         say(line)
-    if len(lines) > _SHOWN:
-        say(f"... and {len(lines) - _SHOWN} more; --json shows all")
+    if len(told) > _SHOWN:
+        say(f"... and {len(told) - _SHOWN} more; --json shows all")
     if changed:
         say(f"{PLANS} is not the file that {MANIFEST} was written for")
     return ExitCode.BAD_INPUT if wrong or changed else ExitCode.DONE
-
-
-def check(corpus: Corpus, rules: Rules, workers: int) -> dict[int, list[str]]:
-    """What is wrong, by the number of the plan; plans that are right are left out."""
-    from planner.corpus.check import check_plans, plan_of
-
-    portion_of = portions(len(corpus), workers, CHECK_PORTION)
-    width_m = rules.model.stance_width_m
-    jobs = [[(plan_of(corpus, i, width_m), corpus.box[i]) for i in some] for some in portion_of]
-    wrong: dict[int, list[str]] = {}
-    with ProgressBar("plans", len(corpus)) as bar:
-        found = in_order(functools.partial(check_plans, rules), jobs, workers)
-        for numbers, lines in zip(portion_of, found, strict=True):
-            wrong |= {n: those for n, those in zip(numbers, lines, strict=True) if those}
-            bar.update(numbers.stop, f"{len(wrong)} wrong" if wrong else "")
-    return wrong

@@ -75,12 +75,9 @@ def shade_floor(
     shown = cv2.resize(free.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
     heights = cv2.resize(elevation_m, size, interpolation=cv2.INTER_NEAREST).astype(np.float64)
     image[shown] = _shades(heights, extremes_m)[shown]
+    level_m = np.where(shown, heights, np.nan)
     for axis in (0, 1):
-        edge = np.zeros(shown.shape, bool)
-        inner = (slice(None),) * axis + (slice(1, None),)
-        outer = (slice(None),) * axis + (slice(None, -1),)
-        steep = np.abs(np.diff(heights, axis=axis)) > _EDGE_M
-        edge[inner] = steep & shown[inner] & shown[outer]
+        edge = np.abs(np.diff(level_m, axis=axis, prepend=np.nan)) > _EDGE_M
         if image.shape[0] > 2 * len(free):
             # One pixel is hard to see where a cell has several.
             edge |= np.roll(edge, 1, axis=axis)
