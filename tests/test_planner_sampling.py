@@ -105,7 +105,7 @@ def test_a_wall_all_across_is_proven_to_leave_no_way(name):
     planner = Planner(grid, small_model(), PlannerOptions(name=name, refine=False))
     plan = planner.plan(start=(0.6, 1.2, 0.0), goal=(1.8, 1.2, 0.0))
     assert plan.status is PlanStatus.NO_PATH
-    assert "enclose" in plan.reason
+    assert "no way for a body" in plan.reason
 
 
 @pytest.mark.parametrize("name", SAMPLING_PLANNERS)
