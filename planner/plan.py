@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -14,22 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from planner.robot_model import Side
 
-
-def finite_pose(values: Sequence[float]) -> Pose:
-    """Three numbers as a pose.
-
-    Raises:
-        ValueError: One of them is not finite.
-    """
-    x_m, y_m, yaw_rad = (float(value) for value in values)
-    if not all(map(math.isfinite, (x_m, y_m, yaw_rad))):
-        raise ValueError(f"pose {x_m:g},{y_m:g},{yaw_rad:g} must be finite numbers")
-    return x_m, y_m, yaw_rad
-
-
 FORMAT = "footstep-plan/1"
 Pose = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
+_STEP_KEYS = ("x", "y", "z", "yaw")
 
 
 class PlanStatus(StrEnum):
@@ -186,7 +174,10 @@ class FootstepPlan:
             raise ValueError(f"not a plan: {error}") from None
 
 
-_STEP_KEYS = ("x", "y", "z", "yaw")
+def finite_pose(values: Iterable[float]) -> Pose:
+    """Three numbers as a pose. Raises ValueError unless all are finite."""
+    x_m, y_m, yaw_rad = _numbers(values, 3)
+    return x_m, y_m, yaw_rad
 
 
 def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
@@ -200,8 +191,8 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         start_feet_world=np.array(
             [_numbers(document["start_feet"][s.name.lower()], 4) for s in Side]
         ),
-        start=_pose(document["start"]),
-        goal=_pose(document["goal"]),
+        start=finite_pose(document["start"]),
+        goal=finite_pose(document["goal"]),
         side=np.array([_side(step["side"]) for step in steps], dtype=np.int8),
         pose_world=np.array(
             [_numbers([step[key] for key in _STEP_KEYS], 4) for step in steps]
@@ -236,16 +227,11 @@ def _side(name: str) -> Side:
         raise ValueError(f"side {name!r} must be 'left' or 'right'") from None
 
 
-def _numbers(values: Sequence[float], count: int) -> list[float]:
+def _numbers(values: Iterable[float], count: int) -> list[float]:
     numbers = [float(value) for value in values]
     if len(numbers) != count or not all(math.isfinite(value) for value in numbers):
         raise ValueError(f"{values} must be {count} finite numbers")
     return numbers
-
-
-def _pose(values: Sequence[float]) -> Pose:
-    x_m, y_m, yaw_rad = _numbers(values, 3)
-    return x_m, y_m, yaw_rad
 
 
 def wrap_angle(angle_rad: ArrayLike) -> FloatArray:
@@ -289,6 +275,17 @@ def pair_pose(feet: ArrayLike) -> FloatArray:
     a, b = np.asarray(feet, dtype=float)
     yaw_rad = a[3] + float(wrap_angle(b[3] - a[3])) / 2
     return np.array([(a[0] + b[0]) / 2, (a[1] + b[1]) / 2, float(wrap_angle(yaw_rad))])
+
+
+def relative_steps(
+    support: FloatArray, swing: FloatArray, outward: NDArray[np.integer] | int
+) -> FloatArray:
+    """`relative_step` (..., 3) of poses x, y, yaw (..., 3); outward (...): `Side.outward`."""
+    dx_m, dy_m = swing[..., 0] - support[..., 0], swing[..., 1] - support[..., 1]
+    cos, sin = np.cos(support[..., 2]), np.sin(support[..., 2])
+    turn = wrap_angle(swing[..., 2] - support[..., 2])
+    x_m, y_m = cos * dx_m + sin * dy_m, cos * dy_m - sin * dx_m
+    return np.stack([x_m, outward * y_m, outward * turn], axis=-1)
 
 
 def relative_step(support: ArrayLike, swing: ArrayLike, swing_side: Side) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,7 @@ from planner.plan import (
     PlanStatus,
     Pose,
     feet_at,
+    finite_pose,
     from_frame,
     pair_pose,
     to_frame,
@@ -57,17 +58,6 @@ def backend(name: str) -> Backend:
         "adstar": plan_adstar,
         "rstar": plan_rstar,
     }[name]
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Query:
-    """What `Planner.plan` is asked; stands: the feet were given, not the start pose."""
-
-    goal: Pose
-    start: Pose
-    start_feet_world: FloatArray
-    stands: bool
-    first_side: Side | None
 
 
 class Planner:
@@ -128,69 +118,53 @@ class Planner:
         Raises ValueError for numbers that are not finite or for both or neither kind of start.
         """
         began = time.perf_counter()
-        query = self._query(goal, start, start_feet_world, first_side)
-        plan = FootstepPlan(
-            start_feet_world=query.start_feet_world,
-            start=query.start,
-            goal=query.goal,
-            planner=self.options.name,
-            epsilon=math.inf,
-        )
-        status, reason = self._refusal(query)
-        if status is not None:
-            plan = replace(plan, status=status, reason=reason)
-        elif self._is_there(query):
-            plan = replace(plan, epsilon=1.0)
-        else:
-            plan = self._search(query, plan, began)
-        return replace(plan, time_s=time.perf_counter() - began)
-
-    def _query(
-        self,
-        goal: ArrayLike,
-        start: ArrayLike | None,
-        start_feet_world: ArrayLike | None,
-        first_side: Side | None,
-    ) -> _Query:
         if (start is None) == (start_feet_world is None):
             raise ValueError("give either start or start_feet_world")
-        goal_pose = _finite("goal", goal, (3,))
+        goal_pose = finite_pose(_finite("goal", goal, (3,)))
         if start_feet_world is None:
-            start_pose = _finite("start", start, (3,))
+            start_pose = finite_pose(_finite("start", start, (3,)))
             feet = self._feet_at(start_pose)
         else:
             feet = _finite("start_feet_world", start_feet_world, (2, 4))
-            start_pose = pair_pose(feet)
-        return _Query(
-            goal=_pose(goal_pose),
-            start=_pose(start_pose),
+            start_pose = finite_pose(pair_pose(feet))
+        plan = FootstepPlan(
             start_feet_world=feet,
-            stands=start_feet_world is not None,
-            first_side=first_side,
+            start=start_pose,
+            goal=goal_pose,
+            planner=self.options.name,
+            epsilon=math.inf,
         )
+        status, reason = self._refusal(plan, stands=start is None)
+        if status is not None:
+            plan = replace(plan, status=status, reason=reason)
+        elif self._is_there(plan):
+            plan = replace(plan, epsilon=1.0)
+        else:
+            plan = self._search(plan, start is None, first_side, began)
+        return replace(plan, time_s=time.perf_counter() - began)
 
-    def _refusal(self, query: _Query) -> tuple[PlanStatus | None, str]:
-        """Status and reason if start or goal are off the map or blocked; None if they are free."""
-        for name, pose in (("start", query.start), ("goal", query.goal)):
+    def _refusal(self, plan: FootstepPlan, stands: bool) -> tuple[PlanStatus | None, str]:
+        """Status and reason if start or goal are off the map or blocked; None if they are free.
+
+        stands: the robot is at the start already.
+        """
+        for name, pose in (("start", plan.start), ("goal", plan.goal)):
             if not self.grid.contains(pose[:2]):
                 x0, y0, x1, y1 = self.grid.bounds_world()
                 return PlanStatus.OFF_MAP, (
                     f"{name} {pose[0]:g},{pose[1]:g} is off the map, which reaches from "
                     f"{x0:g},{y0:g} to {x1:g},{y1:g}"
                 )
-        feet_goal = self._feet_at(query.goal)
         for status, name, feet, margins in (
-            (PlanStatus.START_BLOCKED, "start", query.start_feet_world, not query.stands),
-            (PlanStatus.GOAL_BLOCKED, "goal", feet_goal, True),
+            (PlanStatus.START_BLOCKED, "start", plan.start_feet_world, not stands),
+            (PlanStatus.GOAL_BLOCKED, "goal", self._feet_at(plan.goal), True),
         ):
             blocked = what_blocks(self.grid, self._terrain, self.model, feet, margins)
-            if blocked and not (name == "goal" and self._has_other_ends(query.goal)):
+            has_other_ends = name == "goal" and not self._region.is_point
+            if blocked and not (has_other_ends and len(self.goal_context(plan.goal).ends)):
                 near = suggestion(self.grid, self._terrain, self.model, pair_pose(feet))
                 return status, f"{name}: {blocked}{near}"
         return None, ""
-
-    def _has_other_ends(self, goal: Pose) -> bool:
-        return not self._region.is_point and len(self.goal_context(goal).ends) > 0
 
     def _feet_at(self, pose: ArrayLike) -> FloatArray:
         """Feet (2, 4) of a robot that stands at a pair pose, on the ground."""
@@ -198,26 +172,21 @@ class Planner:
         feet[:, 2] = heights_below(self.grid, self._terrain, self.model, feet)[:, 1]
         return feet
 
-    def _stands_too_near(self, query: _Query) -> bool:
-        """Whether the robot stands nearer to an obstacle than the margins allow; it may leave."""
-        feet = query.start_feet_world
-        return query.stands and bool(what_obstructs(self.grid, self._terrain, self.model, feet))
-
-    def _is_there(self, query: _Query) -> bool:
+    def _is_there(self, plan: FootstepPlan) -> bool:
         """Whether the feet stand side by side at a pose of the goal region."""
-        pose, goal, region = query.start, query.goal, self._region
+        pose, goal, region = plan.start, plan.goal, self._region
         if (
             math.dist(pose[:2], goal[:2]) > region.reach_m
             or abs(wrap_angle(pose[2] - goal[2])) > region.reach_rad
         ):
             pose = goal
-        off = query.start_feet_world - feet_at(pose, self.model.stance_width_m)
+        off = plan.start_feet_world - feet_at(pose, self.model.stance_width_m)
         off[:, 3] = wrap_angle(off[:, 3])
         return bool(np.abs(off[:, [0, 1, 3]]).max() < _ALREADY_THERE_M)
 
     def goal_context(self, goal: ArrayLike) -> GoalContext:
         """Lattice and heuristic of a goal pose (3,), kept until another one is asked for."""
-        pose = _pose(_finite("goal", goal, (3,)))
+        pose = finite_pose(_finite("goal", goal, (3,)))
         if self._context is None or self._context[0] != pose:
             coarse = None if self._coarse is None else self._laid_out(pose, self._coarse)
             self._context = pose, replace(self._laid_out(pose, self.model), coarse=coarse)
@@ -234,16 +203,21 @@ class Planner:
             heuristic_name=self.options.heuristic,
         )
 
-    def _search(self, query: _Query, plan: FootstepPlan, began: float) -> FootstepPlan:
+    def _search(
+        self, plan: FootstepPlan, stands: bool, first_side: Side | None, began: float
+    ) -> FootstepPlan:
+        """The plan with steps, or why there are none. stands: the robot is at the start already."""
+        ground, feet = (self.grid, self._terrain, self.model), plan.start_feet_world
         request = Request(
-            context=self.goal_context(query.goal),
-            feet_lattice=to_frame(query.start_feet_world[:, [0, 1, 3]], query.goal),
-            feet_m=resting_heights(self.grid, self._terrain, self.model, query.start_feet_world),
-            stands=self._stands_too_near(query),
-            first_side=query.first_side,
+            context=self.goal_context(plan.goal),
+            feet_lattice=to_frame(feet[:, [0, 1, 3]], plan.goal),
+            feet_m=resting_heights(*ground, feet),
+            # It may leave a place where it stands nearer to an obstacle than the margins allow.
+            stands=stands and bool(what_obstructs(*ground, feet)),
+            first_side=first_side,
         )
         result = backend(self.options.name)(request, self.options, began)
-        self.record = _in_world(result.record, query.goal)
+        self.record = _in_world(result.record, plan.goal)
         plan = replace(
             plan,
             status=result.status,
@@ -294,21 +268,14 @@ class Planner:
         return plan if wrong else refined
 
     def _with_steps(self, plan: FootstepPlan, result: Result) -> FootstepPlan:
-        return replace(
-            plan,
-            side=result.side,
-            pose_world=self._poses_world(result, plan.goal),
-            cost_m=result.cost_m,
-        )
-
-    def _poses_world(self, result: Result, goal: Pose) -> FloatArray:
-        """Poses (N, 4) in the world; the last two are the feet of a pair pose to the bit."""
+        """The plan with steps in the world; the last two are the feet of a pair pose to the bit."""
+        goal = plan.goal
         poses = np.insert(from_frame(result.pose_lattice, goal), 2, result.z_m, axis=1)
         end = pair_pose(poses[-2:])
         is_goal = np.abs([*(end[:2] - goal[:2]), wrap_angle(end[2] - goal[2])]).max() < _ROUNDING
         feet = self._feet_at(goal if is_goal else end)
         poses[-2:] = feet[result.side[-2:]]
-        return poses
+        return replace(plan, side=result.side, pose_world=poses, cost_m=result.cost_m)
 
 
 def plan_footsteps(
@@ -342,11 +309,6 @@ def _finite(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floa
     return array
 
 
-def _pose(values: FloatArray) -> Pose:
-    x_m, y_m, yaw_rad = (float(v) for v in values)
-    return x_m, y_m, yaw_rad
-
-
 def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLike]) -> FootstepPlan:
     """A plan from a pair pose by way of poses, standing with both feet at each of them.
 
@@ -358,17 +320,15 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
     if not len(poses):
         raise ValueError("poses is empty: give at least the goal")
     began = time.perf_counter()
-    legs: list[FootstepPlan] = []
-    plan = planner.plan(goal=poses[0], start=start)
-    legs.append(plan)
+    legs = [planner.plan(goal=poses[0], start=start)]
     for number, pose in enumerate(poses[1:], start=2):
-        if not plan.found:
+        if not legs[-1].found:
             break
-        plan = _next_leg(planner, legs, pose)
-        if not plan.found:
-            plan = replace(plan, reason=f"leg {number} of {len(poses)}: {plan.reason}")
-        legs.append(plan)
-    last, (x_m, y_m, yaw_rad) = legs[-1], np.asarray(poses[-1])
+        leg = _next_leg(planner, legs, pose)
+        if not leg.found:
+            leg = replace(leg, reason=f"leg {number} of {len(poses)}: {leg.reason}")
+        legs.append(leg)
+    last = legs[-1]
     walked = legs if last.found else []
     # None where the robot stands at the pose already, so that nothing was there to refine.
     before_m = [leg.cost_before_refinement_m for leg in walked]
@@ -377,7 +337,7 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
         last,
         start_feet_world=legs[0].start_feet_world,
         start=legs[0].start,
-        goal=(float(x_m), float(y_m), float(yaw_rad)),
+        goal=finite_pose(np.asarray(poses[-1])),
         side=np.concatenate([leg.side for leg in walked] or [np.zeros(0, np.int8)]),
         pose_world=np.concatenate([leg.pose_world for leg in walked] or [np.zeros((0, 4))]),
         cost_m=sum(leg.cost_m for leg in walked),

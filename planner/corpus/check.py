@@ -18,7 +18,7 @@ from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
 from maps.obstacles import with_boxes
 from planner.corpus.corpus import MANIFEST, Corpus, CorpusError
-from planner.plan import FootstepPlan, PlanStatus
+from planner.plan import FootstepPlan, PlanStatus, finite_pose
 from planner.robot_model import StepModel
 from planner.verify import violations
 
@@ -54,11 +54,10 @@ def check_plans(rules: Rules, portion: Portion) -> list[list[str]]:
 def plan_of(corpus: Corpus, i: int, stance_width_m: float) -> FootstepPlan:
     """Plan i as a value of its own, which begins at the pair pose of its start."""
     side, pose = corpus.plan(i)
-    start, goal = (tuple(float(v) for v in of[i]) for of in (corpus.start, corpus.goal))
     return FootstepPlan(
         start_feet_world=corpus.start_feet(i, stance_width_m),
-        start=typing.cast(tuple[float, float, float], start),
-        goal=typing.cast(tuple[float, float, float], goal),
+        start=finite_pose(corpus.start[i]),
+        goal=finite_pose(corpus.goal[i]),
         side=side,
         pose_world=pose,
         robot=corpus.robot,
@@ -97,11 +96,10 @@ def _floor(document: Mapping[str, Any]) -> OccupancyGrid:
     rows, cols = int(document["rows"]), int(document["cols"])
     if not 0 < rows * cols <= _MOST_CELLS or rows < 1:
         raise ValueError(f"floor {rows} x {cols} must have from 1 to {_MOST_CELLS} cells")
-    x_m, y_m, yaw_rad = (float(v) for v in document["origin"])
     return OccupancyGrid(
         cells=np.zeros((rows, cols), np.uint8),
         resolution_m=float(document["resolution_m"]),
-        origin=(x_m, y_m, yaw_rad),
+        origin=finite_pose(document["origin"]),
     )
 
 

@@ -21,21 +21,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.plan import FootstepPlan, PlanStatus, feet_at, wrap_angle
+from planner.plan import FootstepPlan, PlanStatus, feet_at, relative_steps
 from planner.robot_model import StepModel
 
 FORMAT = "footstep-corpus/1"
 PLANS, MANIFEST = "plans.npz", "manifest.json"
-_TYPES: Mapping[str, Any] = {
-    "offsets": np.int64,
-    "side": np.int8,
-    "pose": np.float64,
-    "start": np.float64,
-    "start_z": np.float64,
-    "goal": np.float64,
-    "cost_m": np.float64,
-    "status": np.str_,
-    "box": np.float64,
+# Type and shape of each array: n plans, m steps, k obstacles for each plan, o offsets.
+_ARRAYS: Mapping[str, tuple[Any, str]] = {
+    "offsets": (np.int64, "o"),
+    "side": (np.int8, "m"),
+    "pose": (np.float64, "m4"),
+    "start": (np.float64, "n3"),
+    "start_z": (np.float64, "n2"),
+    "goal": (np.float64, "n3"),
+    "cost_m": (np.float64, "n"),
+    "status": (np.str_, "n"),
+    "box": (np.float64, "nk5"),
 }
 
 Floats = NDArray[np.float64]
@@ -54,8 +55,8 @@ class Corpus:
     0 left, 1 right. pose (m, 4): x_m, y_m, z_m, yaw_rad of each foot placed. start, goal (n, 3):
     pair poses x_m, y_m, yaw_rad. start_z (n, 2): z_m of the left and right foot at the start.
     cost_m (n,). status (n,): `PlanStatus` as text. box (n, k, 5): the obstacles that were drawn for
-    each plan: x_m, y_m of the centre, length_m, width_m, yaw_rad. All
-    in the world. robot: the name of the robot that can walk these plans.
+    each plan: x_m, y_m of the centre, length_m, width_m, yaw_rad. All in the world. robot: the name
+    of the robot that can walk these plans.
     Raises CorpusError where the arrays do not fit together.
     """
 
@@ -72,7 +73,7 @@ class Corpus:
     manifest: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        for name, kind in _TYPES.items():
+        for name, (kind, _) in _ARRAYS.items():
             array = np.array(getattr(self, name), dtype=kind)
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -80,19 +81,9 @@ class Corpus:
 
     def _check(self) -> None:
         n, m = len(self.status), len(self.side)
-        obstacles = self.box.shape[1] if self.box.ndim == 3 else 0
-        shapes: dict[str, tuple[int, ...]] = {
-            "offsets": (n + 1,),
-            "side": (m,),
-            "pose": (m, 4),
-            "start": (n, 3),
-            "start_z": (n, 2),
-            "goal": (n, 3),
-            "cost_m": (n,),
-            "status": (n,),
-            "box": (n, obstacles, 5),
-        }
-        for name, shape in shapes.items():
+        counts = {"n": n, "m": m, "o": n + 1, "k": self.box.shape[1] if self.box.ndim == 3 else 0}
+        for name, (_, letters) in _ARRAYS.items():
+            shape = tuple(counts[c] if c in counts else int(c) for c in letters)
             found = getattr(self, name).shape
             if found != shape:
                 raise CorpusError(f"{name} {found} must be {shape} for {n} plans and {m} steps")
@@ -105,8 +96,8 @@ class Corpus:
             raise CorpusError(
                 f"status {str(min(unknown))!r} must be one of {', '.join(PlanStatus)}"
             )
-        for name in ("pose", "start", "start_z", "goal", "cost_m", "box"):
-            if not np.isfinite(getattr(self, name)).all():
+        for name, (kind, _) in _ARRAYS.items():
+            if kind is np.float64 and not np.isfinite(getattr(self, name)).all():
                 raise CorpusError(f"{name} must be finite everywhere")
 
     def __len__(self) -> int:
@@ -143,12 +134,8 @@ class Corpus:
         y and yaw are counted outward, so they compare with StepLimits whatever the side. The feet
         stand stance_width_m apart at each start.
         """
-        support = self.support(stance_width_m)
-        out = 1 - 2 * self.side.astype(float)
-        cos, sin = np.cos(support[:, 3]), np.sin(support[:, 3])
-        dx, dy = (self.pose - support)[:, :2].T
-        turn = wrap_angle(self.pose[:, 3] - support[:, 3])
-        return np.column_stack([cos * dx + sin * dy, out * (cos * dy - sin * dx), out * turn])
+        support, planar = self.support(stance_width_m), [0, 1, 3]
+        return relative_steps(support[:, planar], self.pose[:, planar], 1 - 2 * self.side)
 
     def require_fit(self, robot: str, model: StepModel) -> None:
         """Raises CorpusError unless the robot of that name and step model can walk all plans."""
@@ -196,7 +183,7 @@ class Corpus:
         """The arrays as bytes of an npz file, without compression and with one date for all."""
         buffer = io.BytesIO()
         with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-            for name in _TYPES:
+            for name in _ARRAYS:
                 member = io.BytesIO()
                 np.lib.format.write_array(member, getattr(self, name), allow_pickle=False)
                 archive.writestr(
@@ -220,7 +207,7 @@ class Corpus:
         try:
             with np.load(io.BytesIO(plans), allow_pickle=False) as arrays:
                 return Corpus(
-                    **{name: arrays[name] for name in _TYPES},
+                    **{name: arrays[name] for name in _ARRAYS},
                     robot=str(manifest["robot"]),
                     manifest=manifest,
                 )
@@ -253,10 +240,9 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
         raise CorpusError(f"{folder} is no corpus: it is not a folder")
     try:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CorpusError(f"{folder} is no corpus: {MANIFEST}: {error.strerror}") from None
-    except ValueError as error:
-        raise CorpusError(f"{folder} is no corpus: {MANIFEST}: {error}") from None
+    except (OSError, ValueError) as error:
+        told = error.strerror if isinstance(error, OSError) else error
+        raise CorpusError(f"{folder} is no corpus: {MANIFEST}: {told}") from None
     found = manifest.get("format") if isinstance(manifest, dict) else None
     if found != FORMAT:
         raise CorpusError(f"{folder}: the format in {MANIFEST} is {found!r}, must be {FORMAT!r}")

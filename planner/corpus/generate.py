@@ -19,7 +19,7 @@ from maps.obstacles import with_boxes
 from planner.collision import Terrain, terrain_of
 from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan, Pose, feet_at
+from planner.plan import FootstepPlan, Pose, feet_at, finite_pose
 from planner.planner import Planner
 from planner.robot_model import Interval, StepModel
 
@@ -137,17 +137,12 @@ def _holds(floor: OccupancyGrid, part: OccupancyGrid) -> bool:
 
 def _goal(wanted: RandomPlans, rng: np.random.Generator) -> Pose:
     low, high = zip(wanted.goal_x_m, wanted.goal_y_m, wanted.goal_yaw_rad, strict=True)
-    return _pose(rng.uniform(low, high))
+    return finite_pose(rng.uniform(low, high))
 
 
 def _anywhere(grid: OccupancyGrid, rng: np.random.Generator) -> Pose:
     x0, y0, x1, y1 = grid.bounds_world()
-    return _pose(rng.uniform((x0, y0, -math.pi), (x1, y1, math.pi)))
-
-
-def _pose(values: Floats) -> Pose:
-    x_m, y_m, yaw_rad = (float(v) for v in values)
-    return x_m, y_m, yaw_rad
+    return finite_pose(rng.uniform((x0, y0, -math.pi), (x1, y1, math.pi)))
 
 
 def _blocked(
