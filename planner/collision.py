@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid, distance_field
 from planner.compiled import njit_no_refcount
-from planner.robot_model import StepModel
+from planner.robot_model import StepModel, half_box
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
 CONTACT_M = 1e-9
 # Height of ground that nobody can tread on; far below any that a map may have.
 NO_GROUND_UM = -(1 << 31) + 1
 NEAR_M = 1.0
+FloatArray = NDArray[np.float64]
 
 
 class Terrain(NamedTuple):
@@ -118,11 +119,6 @@ def box_free(
     return True
 
 
-# Heights of the ground under boxes and along the way of a swinging foot, compiled.
-
-FloatArray = NDArray[np.float64]
-
-
 def heights_below(
     grid: OccupancyGrid,
     terrain: Terrain,
@@ -138,7 +134,7 @@ def heights_below(
     if terrain.is_flat:
         return np.zeros((len(feet_world), 2))
     margin_m = model.level_margin_m if margin_m is None else margin_m
-    half_l, half_w = model.foot.length_m / 2 + margin_m, model.foot.width_m / 2 + margin_m
+    half_l, half_w = half_box(model.foot, margin_m)
     heights = np.empty((len(feet_world), 2))
     for i, (x_m, y_m, z_m, yaw_rad) in enumerate(feet_world):
         x, y = (float(v) for v in grid.world_to_grid((x_m, y_m)))

@@ -10,13 +10,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import DTypeLike, NDArray
 
-# How the loops of this package are compiled.
-#
-# numba counts the references to every array that a function is given, in each call and with locked
-# instructions, also for those that come in tuples: with the spaces, heuristics and trees of a
-# search that took more time than the search itself. A function that makes no arrays need not count
-# any, for its caller holds all that it is given.
-
 _Function = TypeVar("_Function", bound=Callable[..., object])
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _jit: Any = njit  # its types do not know of the option
@@ -25,7 +18,9 @@ _jit: Any = njit  # its types do not know of the option
 def njit_no_refcount(function: _Function) -> _Function:
     """Compiles a function that makes no arrays, takes none from others and gives none back.
 
-    Nobody would count them. That it makes none the compiler checks.
+    numba counts references to all arrays that a function is given, those in tuples too, which took
+    more time than the search itself. Where none are made, which the compiler checks, the caller
+    holds all of them.
     """
     compiled: _Function = _jit(cache=True, _nrt=False)(function)
     return compiled
@@ -34,13 +29,11 @@ def njit_no_refcount(function: _Function) -> _Function:
 def njit_arrays(function: _Function) -> _Function:
     """Compiles a function that makes arrays, with reference counting.
 
-    Say so of each that an `njit_no_refcount` function calls: it would else do as its caller does.
+    Needed for each that an `njit_no_refcount` function calls: it would else do as its caller does.
     """
     compiled: _Function = _jit(cache=True, _nrt=True)(function)
     return compiled
 
-
-# Arrays over the whole lattice, of which a search touches a small part.
 
 _SMALL_BYTES = 1 << 21
 
@@ -48,8 +41,9 @@ _SMALL_BYTES = 1 << 21
 def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
     """Zeros (count,) that take up memory only on the small pages where they are written.
 
-    numpy asks for huge pages: each takes 2 MB and the time to clear them for a single number. Where
-    the system has no other pages, or cannot be asked, these are numpy's own.
+    For arrays over the whole lattice, of which a search touches a small part: numpy asks for huge
+    pages, each of which takes 2 MB and the time to clear them for a single number. Where the system
+    has no other pages, or cannot be asked, these are numpy's own.
     """
     size = count * np.dtype(dtype).itemsize
     if size < _SMALL_BYTES or not hasattr(mmap, "MADV_NOHUGEPAGE"):
@@ -76,25 +70,19 @@ def tiled(cols: int, rows: int) -> int:
 
 @njit_no_refcount
 def in_tiles(col: int, row: int, cols: int) -> int:
-    """Place of a cell where those of 8 x 8 cells follow one another, then those of the next.
-
-    A search comes to cells that lie together. Row by row each row of them takes pages of its own.
-    """
+    """Place of a cell in tiles of 8 x 8 cells, for fewer pages of memory than row by row."""
     return (row >> 3) * (cols // 8 + 1) + (col >> 3) << 6 | (row & 7) << 3 | col & 7
 
-
-# Where what is known of a node is kept: in the order in which searches come to the nodes.
-#
-# A search comes to few nodes of a lattice, here and there. In arrays over all of them nearly each
-# would take a page of memory of its own, and the time to clear it. So a block of nodes gets its
-# slots when it is first come to, next to those of the block before.
 
 BITS = 7
 LOW = (1 << BITS) - 1
 
 
 class Slots(NamedTuple):
-    """Slots of all nodes of a lattice that were come to; arrays of so many are `length` long.
+    """Where arrays of `length` keep what is known of nodes: in the order in which they are reached.
+
+    A search reaches few nodes of a lattice, here and there. In arrays over all of them nearly each
+    would take a page of memory of its own.
 
     of_block (blocks,): number of the slots of each block of 128 nodes, 0 for none: slots that are
     never written to. used (1,): how many blocks have any.

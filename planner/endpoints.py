@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from maps.grid import OccupancyGrid
 from planner.collision import Terrain, box_free, heights_below, resting_heights, terrain_of
 from planner.plan import feet_at, pair_pose
-from planner.robot_model import BodyShape, FootShape, Side, StepModel
+from planner.robot_model import Side, StepModel, half_box
 
 FloatArray = NDArray[np.float64]
 _SEARCH_RADIUS_M = 2.0
@@ -35,15 +35,17 @@ def what_obstructs(
     grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray, margins: bool = True
 ) -> str:
     """As `what_blocks`, but for obstacles only."""
-    foot_margin_m = model.foot_margin_m if margins else 0.0
-    body_margin_m = model.body_margin_m if margins else 0.0
-    for side in Side:
-        x_m, y_m, _, yaw_rad = feet[side]
-        if not _free(grid, terrain, (x_m, y_m, yaw_rad), model.foot, foot_margin_m):
-            return _sentence(grid, f"the {side.name.lower()} foot", x_m, y_m)
-    pose = pair_pose(feet)
-    if not _free(grid, terrain, pose, model.body, body_margin_m):
-        return _sentence(grid, "the body", pose[0], pose[1])
+    foot = half_box(model.foot, model.foot_margin_m if margins else 0.0)
+    body = half_box(model.body, model.body_margin_m if margins else 0.0)
+    boxes = [(f"the {side.name.lower()} foot", feet[side], foot) for side in Side]
+    for name, pose, (half_l, half_w) in [*boxes, ("the body", pair_pose(feet), body)]:
+        x, y = (float(v) for v in grid.world_to_grid(pose[:2]))
+        yaw = float(pose[-1]) - grid.origin[2]
+        if not box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w):
+            where = f"{name} at {pose[0]:.2f},{pose[1]:.2f}"
+            if not grid.contains(pose[:2]):
+                return f"{where} would be off the map"
+            return f"{where} would touch an obstacle, unknown ground or the map's edge"
     return ""
 
 
@@ -65,28 +67,6 @@ def _what_is_uneven(
         higher = Side.LEFT if heights[0, 1] > heights[1, 1] else Side.RIGHT
         return f"the {higher.name.lower()} foot would stand {rise_m:.2f} m higher than the other"
     return ""
-
-
-def _sentence(grid: OccupancyGrid, what: str, x_m: float, y_m: float) -> str:
-    where = f"{what} at {x_m:.2f},{y_m:.2f}"
-    if not grid.contains((x_m, y_m)):
-        return f"{where} would be off the map"
-    return f"{where} would touch an obstacle, unknown ground or the map's edge"
-
-
-def _free(
-    grid: OccupancyGrid,
-    terrain: Terrain,
-    pose: ArrayLike,
-    shape: FootShape | BodyShape,
-    margin_m: float,
-) -> bool:
-    x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose, dtype=float))
-    x, y = (float(v) for v in grid.world_to_grid((x_m, y_m)))
-    yaw = yaw_rad - grid.origin[2]
-    half_l = shape.length_m / 2 + margin_m
-    half_w = shape.width_m / 2 + margin_m
-    return bool(box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w))
 
 
 def nearest_free_pose(
@@ -115,9 +95,6 @@ def suggestion(grid: OccupancyGrid, terrain: Terrain, model: StepModel, pose: Ar
     if there is None:
         return f"; no pose within {_SEARCH_RADIUS_M:g} m is free"
     return f"; the nearest free pose is {there[0]:g},{there[1]:g},{there[2]:g}"
-
-
-# Which ground a robot's feet stand on, for those who place it and watch it walk.
 
 
 class Footing:

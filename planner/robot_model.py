@@ -15,12 +15,9 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Convex polygons of where the swing foot may land, and the half planes that bound them.
-#
-# Points are x_m, y_m in the support foot's frame, y outward positive; vertices go counter-
-# clockwise.
-
 Point = tuple[float, float]
+Interval = tuple[float, float]
+Step = tuple[float, float, float]
 _ROUNDING_M = 1e-9
 _LEAST_AREA_M2 = 1e-6
 
@@ -60,10 +57,6 @@ def check_polygon(name: str, vertices: Sequence[Point]) -> None:
     if beyond_m.max() > _ROUNDING_M:
         worst = vertices[int(np.argmax(beyond_m))]
         raise ValueError(f"{name} {vertices} must be convex: not so beside vertex {worst}")
-
-
-Interval = tuple[float, float]
-Step = tuple[float, float, float]
 
 
 class Side(IntEnum):
@@ -108,6 +101,11 @@ class BodyShape:
     def __post_init__(self) -> None:
         _check_positive("body length_m", self.length_m)
         _check_positive("body width_m", self.width_m)
+
+
+def half_box(shape: FootShape | BodyShape, margin_m: float) -> tuple[float, float]:
+    """Half length and half width of a box that grows by a margin on all sides."""
+    return shape.length_m / 2 + margin_m, shape.width_m / 2 + margin_m
 
 
 @dataclass(frozen=True, kw_only=True)
