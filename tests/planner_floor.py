@@ -17,7 +17,7 @@ from planner.plan import FootstepPlan, feet_at, to_frame
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import StepModel
 from planner.search.problem import Request
-from planner.search.reachability import Verdict, expand_both, new_flood
+from planner.search.reachability import Floods, Verdict
 from tests.planner_oracle import Node, Oracle, lattice_node, small_model
 
 
@@ -142,8 +142,7 @@ def floods_meet(lattice: Lattice, oracle: Oracle, start: tuple[float, float, flo
     """Whether the floods from the oracle's first steps and from the goal meet, in small bites."""
     seeds = [lattice_node(lattice, node) for _, node in oracle.first_steps(start)]
     goals = [lattice_node(lattice, (0, 0, 0, side)) for side in (0, 1)]
-    flood = new_flood(lattice, np.array(seeds, np.int64), np.array(goals))
-    verdict = Verdict.OPEN
-    while verdict is Verdict.OPEN:
-        flood, verdict = expand_both(lattice, flood, 7)
-    return verdict is Verdict.MET
+    floods = Floods(lattice, np.array(seeds, np.int64), np.array(goals))
+    while floods.verdict is Verdict.OPEN:
+        floods.expand(7)
+    return floods.verdict is Verdict.MET

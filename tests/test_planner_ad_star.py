@@ -219,7 +219,7 @@ def steps_over(grid, model, nodes):
     Of a lattice made for this map; below 0 where a step is not allowed.
     """
     lattice = build_lattice(grid, terrain_of(grid, False), model, tables_of(model).steps, GOAL)
-    tree = new_tree(lattice, lattice.steps, False)
+    tree = new_tree(lattice, is_backward=False)
     rows = 2 * lattice.headings
     costs_um = np.full((len(nodes), lattice.steps.shape[1]), -1, np.int64)
     for i, node in enumerate(nodes):

@@ -9,20 +9,19 @@ import pytest
 
 from maps.grid import Cell
 from planner.collision import terrain_of
-from planner.heuristics.distance_field import draw_path, spread_from
+from planner.heuristics.distance_field import lazy_path_costs, path_costs
 from planner.heuristics.heuristic import estimates, tables_of
 from planner.heuristics.potential import MOVES
 from planner.heuristics.wavefront import (
-    EVERYWHERE,
     NO_CELLS,
-    NOT_DRAWN,
+    NO_COST_AHEAD,
     NOWHERE_UM,
     SHUT_CELL,
-    Ahead,
-    ahead_um,
+    StraightCost,
     cell_shut,
     moves_of,
-    spread_costs,
+    propagate,
+    straight_um,
 )
 from planner.lattice.lattice import build_lattice
 from planner.options import PlannerOptions
@@ -49,7 +48,7 @@ GOAL = SPACE.origin_row * SPACE.cols + SPACE.origin_col
 SIZE = SPACE.cols * SPACE.rows
 
 
-def oracle(seeds, mask=None):
+def oracle(seeds):
     """Least path costs from cells with costs, by the textbook."""
     d_cell = BODY_MOVES.around[:, 1] * SPACE.cols + BODY_MOVES.around[:, 0]
     best = {}
@@ -61,15 +60,15 @@ def oracle(seeds, mask=None):
         best[cell] = cost
         for move, price in zip(d_cell, BODY_MOVES.cost_um, strict=True):
             near = int(cell + move)
-            if (mask is None or mask[near]) and not cell_shut(SPACE, near, BODY_MOVES.reach_m):
+            if not cell_shut(SPACE, near, BODY_MOVES.reach_m):
                 heapq.heappush(heap, (cost + int(price), near))
     return best
 
 
-def flood(seeds, wanted=NO_CELLS, beyond_um=0, mask=EVERYWHERE, ahead=NOT_DRAWN):
+def wavefront(seeds, wanted=NO_CELLS, beyond_um=0, ahead=NO_COST_AHEAD):
     cost_um = np.zeros(SIZE, np.int32)
     cells, costs = (np.array(part) for part in zip(*seeds, strict=True))
-    left = spread_costs(SPACE, cost_um, cells, costs, BODY_MOVES, wanted, beyond_um, mask, ahead)
+    left = propagate(SPACE, cost_um, cells, costs, BODY_MOVES, wanted, beyond_um, ahead)
     return cost_um, left
 
 
@@ -81,34 +80,25 @@ def far_cells():
 
 def test_without_an_end_every_cell_has_its_least_cost():
     seeds = [(GOAL, 70_000), (int(far_cells()[0]), 0)]
-    cost_um, left = flood(seeds)
+    cost_um, left = wavefront(seeds)
     best = oracle(seeds)
     assert left == NOWHERE_UM
     assert {int(c): int(cost_um[c]) - 1 for c in np.flatnonzero(cost_um > 0)} == best
 
 
-def test_within_a_mask_costs_spread_over_the_mask_and_no_farther():
-    mask = (np.arange(SIZE) % SPACE.cols < SPACE.origin_col + 25).astype(np.uint8)
-    cost_um, left = flood([(GOAL, 0)], mask=mask)
-    best = oracle([(GOAL, 0)], mask)
-    assert left == NOWHERE_UM
-    assert {int(c): int(cost_um[c]) - 1 for c in np.flatnonzero(cost_um > 0)} == best
-    assert len(best) < len(oracle([(GOAL, 0)]))
-
-
-@pytest.mark.parametrize("is_drawn", [False, True])
-def test_it_ends_when_the_wanted_cell_is_known_and_says_what_others_cost_at_least(is_drawn):
-    wanted = far_cells() if is_drawn else np.array([GOAL + 12])
+@pytest.mark.parametrize("is_a_star", [False, True])
+def test_it_ends_when_the_wanted_cell_is_known_and_says_what_others_cost_at_least(is_a_star):
+    wanted = far_cells() if is_a_star else np.array([GOAL + 12])
     level, diagonal, knight = (int(v) for v in np.unique(TABLES.potential.move_um))
     end = int(wanted[0] % SPACE.cols), int(wanted[0] // SPACE.cols)
-    drawn = Ahead(*end, level, diagonal, knight, slack_um=0)
-    ahead = drawn if is_drawn else NOT_DRAWN
-    cost_um, left = flood([(GOAL, 0)], wanted=wanted, beyond_um=100_000, ahead=ahead)
+    straight = StraightCost(*end, level, diagonal, knight, slack_um=0)
+    ahead = straight if is_a_star else NO_COST_AHEAD
+    cost_um, left = wavefront([(GOAL, 0)], wanted=wanted, beyond_um=100_000, ahead=ahead)
     best = oracle([(GOAL, 0)])
     assert cost_um[wanted[0]] - 1 == best[int(wanted[0])]
     late = 0
     for cell, least in best.items():
-        if least + ahead_um(ahead, cell % SPACE.cols, cell // SPACE.cols) < left:
+        if least + straight_um(ahead, cell % SPACE.cols, cell // SPACE.cols) < left:
             assert cost_um[cell] - 1 == least
         elif cost_um[cell] == 0:
             late += 1
@@ -120,7 +110,7 @@ def test_cells_known_to_be_shut_stay_shut():
     cost_um = np.zeros(SIZE, np.int32)
     cost_um[GOAL + 1] = SHUT_CELL
     seeds = np.array([GOAL]), np.array([0])
-    spread_costs(SPACE, cost_um, *seeds, BODY_MOVES, NO_CELLS, 0, EVERYWHERE, NOT_DRAWN)
+    propagate(SPACE, cost_um, *seeds, BODY_MOVES, NO_CELLS, 0, NO_COST_AHEAD)
     assert cost_um[GOAL + 1] == SHUT_CELL
     assert cost_um[GOAL + 2] > 0
 
@@ -133,7 +123,7 @@ def toward_on(grid, model, start, goal):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
+def test_lazy_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
     rng = np.random.default_rng(seed)
     grid = walled(100, 100, resolution_m=0.05)
     cells = np.array(grid.cells)
@@ -142,25 +132,25 @@ def test_drawn_costs_are_exact_on_the_way_and_consistent_bounds_elsewhere(seed):
     context = toward_on(grid.with_cells(cells), fine_model(), (0.5, 0.5, 0.0), (4.0, 4.0, 0.0))
     lattice, potential = context.lattice, context.tables.potential
     goal = np.array([lattice.origin_row * lattice.cols + lattice.origin_col])
-    everywhere = spread_from(lattice, potential, goal, np.array([0]))
-    free = np.flatnonzero(everywhere.cost_um > 0)
+    everywhere = path_costs(lattice, potential, goal, np.array([0]))
+    free = np.flatnonzero(everywhere > 0)
     lower = 0
     for _ in range(6):
         seeds, middle = rng.choice(free, 3), rng.choice(free)
         wanted = np.intersect1d(free, middle + np.array([-2, 0, 2, 2 * lattice.cols]))
         costs_um = rng.integers(0, 300_000, 3)
-        exact = spread_from(lattice, potential, seeds, costs_um).cost_um[free]
-        drawn_um = draw_path(lattice, potential, seeds, costs_um, wanted).cost_um
-        drawn = drawn_um[free]
-        assert drawn.min() > 0
-        assert np.all(drawn <= exact)
-        lower += int(np.count_nonzero(drawn < exact))
+        exact = path_costs(lattice, potential, seeds, costs_um)[free]
+        lazy_um = lazy_path_costs(lattice, potential, seeds, costs_um, wanted)
+        lazy = lazy_um[free]
+        assert lazy.min() > 0
+        assert np.all(lazy <= exact)
+        lower += int(np.count_nonzero(lazy < exact))
         nearest = wanted[np.argmin(exact[np.searchsorted(free, wanted)])]
         at = np.searchsorted(free, nearest)
-        assert drawn[at] == exact[at]
+        assert lazy[at] == exact[at]
         for (col, row), move_um in zip(MOVES, potential.move_um, strict=True):
-            there = drawn_um[free + row * lattice.cols + col]
-            off_um = np.abs(there - drawn)[there > 0]
+            there = lazy_um[free + row * lattice.cols + col]
+            off_um = np.abs(there - lazy)[there > 0]
             assert len(off_um)
             assert off_um.max() <= move_um
     assert lower > len(free)
@@ -172,9 +162,9 @@ def test_where_no_path_leads_there_are_no_costs():
     lattice = context.lattice
     row = lattice.origin_row * lattice.cols
     here, beyond = np.array([row + lattice.origin_col]), np.array([row + lattice.origin_col + 26])
-    drawn = draw_path(lattice, context.tables.potential, here, np.array([0]), beyond)
-    assert drawn.cost_um[here] == 1
-    assert drawn.cost_um[beyond] <= 0
+    lazy = lazy_path_costs(lattice, context.tables.potential, here, np.array([0]), beyond)
+    assert lazy[here] == 1
+    assert lazy[beyond] <= 0
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -182,8 +172,8 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
     grid, start, goal = CASES[name]
     model = small_model()
     request = request_of(grid, model, start, goal)
-    nodes, costs_um = request.first_nodes()
-    heuristic = heuristic_near_paths(request.context, nodes)
+    nodes, costs_um = request.first_steps
+    heuristic = heuristic_near_paths(request)
     for node, cost_m in least_costs_m(name).items():
         assert estimated_m(request.lattice, heuristic, node) <= cost_m + 1e-5
     # At the first steps it says what the one over the whole map says.
@@ -197,9 +187,9 @@ def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
 def test_near_the_goal_the_table_says_what_the_path_does_not():
     grid, model = walled(), small_model()
     request = request_of(grid, model, (1.2, 1.2, 0.0), (1.5, 1.3, 0.0))
-    nodes, _ = request.first_nodes()
-    drawn_um, exact_um = (
+    nodes, _ = request.first_steps
+    lazy_um, exact_um = (
         estimates(request.lattice, h, nodes)
-        for h in (heuristic_near_paths(request.context, nodes), request.context.heuristic)
+        for h in (heuristic_near_paths(request), request.context.heuristic)
     )
-    np.testing.assert_array_equal(drawn_um, exact_um)
+    np.testing.assert_array_equal(lazy_um, exact_um)

@@ -126,8 +126,8 @@ def test_the_heuristic_toward_the_start_is_never_above_the_exact_cost(name, furt
     model = small_model()
     oracle = oracle_of(name)
     request = request_of(grid, model, start, goal)
-    nodes, costs_um = request.first_nodes()
-    heuristic = heuristic_to_start(request, nodes, costs_um, further_um)
+    nodes, _ = request.first_steps
+    heuristic = heuristic_to_start(request, further_um)
     known = {oracle_node(request.lattice, int(node)) for node in nodes}
     # The search keeps the feet a little farther apart in the first step than the oracle does.
     cost_m = oracle.costs_from(
@@ -144,8 +144,7 @@ def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
     model = small_model()
     best_m = least_cost_m(name)
     request = request_of(grid, model, start, goal)
-    nodes, costs_um = request.first_nodes()
-    quick = find_first_plan(request, nodes, costs_um, PlannerOptions(refine=False))
+    quick = find_first_plan(request, PlannerOptions(refine=False))
     assert quick is not None
     assert quick.lower_bound_um / 1e6 <= best_m + 1e-5
     assert quick.cost_um / 1e6 >= best_m - 1e-5

@@ -9,8 +9,9 @@ import pytest
 import shapely
 from shapely import affinity
 
-from planner.lattice.steps import allowed, build_step_table, feet_apart, table_steps
-from planner.robot_model import BodyShape, FootShape, StepLimits
+from planner.lattice.steps import allowed, build_step_table, feet_apart
+from planner.plan import wrap_angle
+from planner.robot_model import BodyShape, FootShape, Side, StepLimits
 from tests.planner_oracle import small_model
 
 
@@ -61,6 +62,18 @@ MODELS = {
         stance_width_m=0.19,
     ),
 }
+
+
+def table_steps(table, model):
+    """Steps (H, 2, K, 3) in the support foot's frame, outward positive, as the table has them."""
+    bin_rad = 2 * np.pi / model.headings
+    yaw_rad = (np.arange(model.headings) * bin_rad)[:, None, None]
+    out = np.array([side.other.outward for side in Side])[None, :, None]
+    dx_m = table.d_col * model.cell_m
+    dy_m = table.d_row * model.cell_m + out * model.stance_width_m
+    x_m = np.cos(yaw_rad) * dx_m + np.sin(yaw_rad) * dy_m
+    y_m = out * (-np.sin(yaw_rad) * dx_m + np.cos(yaw_rad) * dy_m)
+    return np.stack([x_m, y_m, wrap_angle(out * table.d_heading * bin_rad)], axis=-1)
 
 
 @pytest.mark.parametrize("name", MODELS)

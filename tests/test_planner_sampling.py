@@ -13,7 +13,6 @@ import pytest
 from maps.grid import Cell
 from maps.map_files import load_map
 from planner.collision import box_free, terrain_of
-from planner.lattice.footsteps import Stance, cost_of
 from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import allowed, build_step_table, step_cost_um
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
@@ -21,7 +20,7 @@ from planner.plan import PlanStatus, feet_at, from_frame, relative_step, to_fram
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
 from planner.sampling import sampling_planner as sampling
-from planner.sampling.footsteps_along_path import PathFootsteps, resample
+from planner.sampling.footsteps_along_path import PathFootsteps, Stance, cost_of, resample
 from planner.sampling.ompl_paths import SampledPath, outline_of
 from planner.sampling.path_headings import choose_headings, turning_rate, walking_rate
 from planner.sampling.sampling_planner import corridor_along, window_around
@@ -195,7 +194,7 @@ def test_no_steps_along_a_path_are_cheaper(turn_rad, first_side):
         np.testing.assert_allclose(pose, feet_at(path[-1], 0.2)[side][[0, 1, 3]], atol=1e-12)
 
 
-def test_a_strand_ends_where_something_stands_in_the_way():
+def test_footsteps_along_a_path_end_where_something_stands_in_the_way():
     model = small_model()
     grid = floor((20, 30, 28, 32))
     terrain = terrain_of(grid, False)

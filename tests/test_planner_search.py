@@ -142,7 +142,7 @@ def test_the_record_of_a_search_falls_in_cost_rises_in_bound_and_ends_with_the_p
 
 
 def test_to_go_off_the_way_one_faces_costs_least_and_more_the_farther_one_must_turn():
-    depart_um = tables_of(MODEL).facing.depart_um.reshape(MODEL.headings, 2, SECTORS).min(axis=1)
+    depart_um = tables_of(MODEL).turns.depart_um.reshape(MODEL.headings, 2, SECTORS).min(axis=1)
     for heading in range(0, MODEL.headings, 4):
         ahead = heading * SECTORS // MODEL.headings
         # The heading lies on the border of two sectors.
@@ -152,7 +152,7 @@ def test_to_go_off_the_way_one_faces_costs_least_and_more_the_farther_one_must_t
 
 
 def test_to_arrive_facing_the_goal_pose_costs_nothing_and_from_before_it_a_turn():
-    arrive_um = tables_of(MODEL).facing.arrive_um
+    arrive_um = tables_of(MODEL).turns.arrive_um
     middle = len(arrive_um) // 2
     behind, before = arrive_um[middle, middle - 80], arrive_um[middle, middle + 80]
     assert 0 <= behind < 150_000  # what is left of a step

@@ -44,11 +44,7 @@ def build_goal_table(model: StepModel, table: StepTable, potential: Potential) -
     cap_um = int(potential.rate * _RADIUS_CELLS * model.cell_m * 1e6)
     # By inequality (1) of `potential.py` no state whose cost is below the cap has its body farther.
     body_cells = max(cap_um - int(potential.potential_um.min()), 0) // int(potential.move_um.min())
-    reach = (
-        body_cells
-        + int(max(np.abs(potential.body_col).max(), np.abs(potential.body_row).max()))
-        + 1
-    )
+    reach = body_cells + int(np.abs(potential.body_cell).max()) + 1
     size = 2 * reach + 1
     cost_um = np.full((size, size, 2 * model.headings), cap_um, np.int32)
     _fill(cost_um.reshape(-1), size, backward_steps(table), final_cost_um(model), cap_um)
@@ -70,7 +66,7 @@ def build_goal_table(model: StepModel, table: StepTable, potential: Potential) -
 
 def longest_move(table: StepTable, potential: Potential) -> int:
     """By how many cells along an axis a step moves the body's cell at most."""
-    moved = moved_cells(table, potential.body_col, potential.body_row)
+    moved = moved_cells(table, potential.body_cell)
     return int(np.abs(moved[table.cost_um > 0]).max())
 
 
@@ -78,18 +74,11 @@ def backward_steps(table: StepTable) -> IntArray:
     """Steps (2 H, K, 4) that end in a row (heading * 2 + side): from row, d_col, d_row, cost."""
     headings, _, most = table.cost_um.shape
     steps = np.zeros((2 * headings, most, 4), np.int64)
-    for heading in range(headings):
-        for side in (0, 1):
-            for k in range(most):
-                at = heading, side, k
-                to = int((heading + table.d_heading[at]) % headings * 2 + 1 - side)
-                if table.cost_um[at]:
-                    steps[to, k] = (
-                        heading * 2 + side,
-                        table.d_col[at],
-                        table.d_row[at],
-                        table.cost_um[at],
-                    )
+    heading, side, k = np.nonzero(table.cost_um)
+    at = heading, side, k
+    to = (heading + table.d_heading[at]) % headings * 2 + 1 - side
+    columns = heading * 2 + side, table.d_col[at], table.d_row[at], table.cost_um[at]
+    steps[to, k] = np.stack(columns, axis=-1)
     return steps
 
 
@@ -97,10 +86,9 @@ def _body_costs(cost_um: NDArray[np.int32], potential: Potential) -> IntArray:
     """Least cost (size, size) over headings and sides with the body in a cell, less potentials."""
     size = len(cost_um)
     least = np.full((size, size), np.iinfo(np.int32).max, np.int64)
-    body_col, body_row = potential.body_col.reshape(-1), potential.body_row.reshape(-1)
-    potential_um = potential.potential_um.reshape(-1)
-    for row, (d_col, d_row, p_um) in enumerate(zip(body_col, body_row, potential_um, strict=True)):
-        moved = np.roll(cost_um[:, :, row], (int(d_row), int(d_col)), axis=(0, 1))
+    for row, (d_col, d_row) in enumerate(potential.body_cell.tolist()):
+        p_um = potential.potential_um[row]
+        moved = np.roll(cost_um[:, :, row], (d_row, d_col), axis=(0, 1))
         least = np.minimum(least, moved.astype(np.int64) - p_um)
     return least
 

@@ -14,8 +14,9 @@ can be. Then
 
     h(s) = max(0, D(cell(s)) + p(s) - max over sides of p(goal)) + cost of the last step
 
-is consistent, and so admissible: a step from s to t passes body cells that (see `body_reach_m`) lie
-inside one of the boxes that the search itself checks for that step, so D(s) <= r |v| + D(t).
+is consistent, and so admissible: a step from s to t passes body cells that (see
+`Potential.reach_m`) lie inside one of the boxes that the search itself checks for that step, so
+D(s) <= r |v| + D(t).
 """
 
 from __future__ import annotations
@@ -25,15 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.lattice.lattice import Int64s
 from planner.lattice.steps import MICRO, IntArray, StepTable, final_cost_um, moved_cells
 from planner.robot_model import Side, StepModel
-
-
-def body_cells_from(potential: Potential, cols: int) -> Int64s:
-    """The body's cell from a foot's cell as a difference of cell numbers (2 H,)."""
-    return (potential.body_row * cols + potential.body_col).reshape(-1)
-
 
 FloatArray = NDArray[np.float64]
 MOVES = np.array(
@@ -46,29 +40,33 @@ MOVES = np.array(
 class Potential:
     """What the heuristic knows of a robot; made once per step model.
 
-    body_col, body_row (H, 2): the body's cell from the foot's node. rate: cost per metre.
-    potential_um (H, 2): p, the goal's part and the cost of the last step included.
+    Arrays (2 H, ...) have a row per heading * 2 + side. body_cell (2 H, 2): col and row of the
+    body's cell from the foot's node. rate: cost per metre. potential_um (2 H,): p, the goal's part
+    and the cost of the last step included.
     move_um (16,): cost of the moves of the 2D search. reach_m: radius around any cell on a step's
     way that the checked body boxes cover; negative where the boxes leave gaps.
     """
 
-    body_col: IntArray
-    body_row: IntArray
+    body_cell: IntArray
     rate: float
     potential_um: IntArray
     move_um: IntArray
     reach_m: float
 
+    def cell_offsets(self, cols: int) -> IntArray:
+        """The body's cell from a foot's cell (2 H,) as cell numbers of a lattice of cols."""
+        return self.body_cell[:, 1] * cols + self.body_cell[:, 0]
 
-def body_cells(model: StepModel) -> tuple[IntArray, IntArray]:
-    """The body's cell from the foot's node, columns and rows, each (H, 2)."""
+
+def _body_cells(model: StepModel) -> IntArray:
+    """`Potential.body_cell` of a step model."""
     yaw_rad = np.arange(model.headings)[:, None] * (2 * np.pi / model.headings)
     inward_m = -np.array([side.outward for side in Side])[None, :] * model.stance_width_m / 2
     col = -np.sin(yaw_rad) * inward_m / model.cell_m
     row = (np.cos(yaw_rad) * inward_m - inward_m) / model.cell_m
     # Rounded to the micrometre first, so a tie does not hang on the last bit of a cosine.
-    cells = np.rint(np.round(np.stack([col, row]), 6)).astype(np.int64)
-    return cells[0], cells[1]
+    cells = np.rint(np.round(np.stack([col, row], axis=-1), 6)).astype(np.int64)
+    return cells.reshape(-1, 2)
 
 
 def grid_length(cols: ArrayLike, rows: ArrayLike) -> FloatArray:
@@ -82,30 +80,29 @@ def grid_length(cols: ArrayLike, rows: ArrayLike) -> FloatArray:
 
 def build_potential(model: StepModel, table: StepTable) -> Potential:
     """Rate and potential of a step table, and the body's reach."""
-    body_col, body_row = body_cells(model)
+    body_cell = _body_cells(model)
     index = np.indices(table.cost_um.shape)
     heading, side = index[0], index[1]
     to_heading = (heading + table.d_heading) % model.headings
     to_side = 1 - side
-    cols, rows = np.moveaxis(moved_cells(table, body_col, body_row), -1, 0)
+    cols, rows = np.moveaxis(moved_cells(table, body_cell), -1, 0)
     real = table.cost_um > 0
     length_m = (grid_length(cols, rows) * model.cell_m)[real]
     cost_um = table.cost_um[real]
     start, end = (heading * 2 + side)[real], (to_heading * 2 + to_side)[real]
     rate, potential = _best_rate(length_m, cost_um / MICRO, start, end, 2 * model.headings)
-    potential_um = np.rint(potential * MICRO).astype(np.int64).reshape(-1, 2)
+    potential_um = np.rint(potential * MICRO).astype(np.int64)
     # Whole micrometres must satisfy (1) as well: take off the rate what rounding may have added.
-    slack_um = potential_um.reshape(-1)[start] - potential_um.reshape(-1)[end] - cost_um
+    slack_um = potential_um[start] - potential_um[end] - cost_um
     moving = length_m > 0
     rate = min(rate, float((-slack_um[moving] / MICRO / length_m[moving]).min()))
     move_um = np.floor(rate * np.linalg.norm(MOVES, axis=1) * model.cell_m * MICRO)
     return Potential(
-        body_col=body_col,
-        body_row=body_row,
+        body_cell=body_cell,
         rate=rate,
-        potential_um=potential_um - potential_um[0].max() + final_cost_um(model),
+        potential_um=potential_um - potential_um[:2].max() + final_cost_um(model),
         move_um=move_um.astype(np.int64),
-        reach_m=_reach(model, table, cols, rows),
+        reach_m=_reach(model, table, body_cell, cols, rows),
     )
 
 
@@ -141,9 +138,10 @@ def _shortest(weight: FloatArray, start: IntArray, end: IntArray, nodes: int) ->
     return None
 
 
-def _reach(model: StepModel, table: StepTable, cols: IntArray, rows: IntArray) -> float:
+def _reach(
+    model: StepModel, table: StepTable, body_cell: IntArray, cols: IntArray, rows: IntArray
+) -> float:
     """Least depth over all steps of the cells on its way inside the boxes checked for it."""
-    body_col, body_row = body_cells(model)
     half_m = np.array([model.body.length_m, model.body.width_m]) / 2 + model.body_margin_m
     bin_rad = 2 * np.pi / model.headings
     least = np.inf
@@ -162,8 +160,9 @@ def _reach(model: StepModel, table: StepTable, cols: IntArray, rows: IntArray) -
                 swing + inward * np.array([-np.sin(yaws[2]), np.cos(yaws[2])]),
             ]
         )
-        first = np.array([int(body_col[heading, side]), int(body_row[heading, side])])
-        way = (first + _way(int(cols[index]), int(rows[index]))) * model.cell_m
+        way = (
+            body_cell[heading * 2 + side] + _way(int(cols[index]), int(rows[index]))
+        ) * model.cell_m
         off = way[:, None, :] - centres[None, :, :]
         along = np.cos(yaws) * off[..., 0] + np.sin(yaws) * off[..., 1]
         across = -np.sin(yaws) * off[..., 0] + np.cos(yaws) * off[..., 1]

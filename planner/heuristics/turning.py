@@ -38,8 +38,8 @@ _NO_DETOUR_UM = (1 << 30) + 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Exits:
-    """The part of the bound that belongs to a step model.
+class ExitTable:
+    """The part of the exit bound that belongs to a step model.
 
     turn_um (2 H, SECTORS): the first part, per heading * 2 + side. rim (n, 4): col, row, sector
     and cost W in micrometres of the cells of the rim, from the circle's centre. ring (m, 4): the
@@ -52,7 +52,7 @@ class Exits:
     radius_cells: int
 
 
-def build_exits(table: StepTable, potential: Potential) -> Exits:
+def build_exit_table(table: StepTable, potential: Potential) -> ExitTable:
     """The table of a step model."""
     hop = longest_move(table, potential)
     reach = _RADIUS_CELLS + 2 * hop + 2
@@ -64,8 +64,7 @@ def build_exits(table: StepTable, potential: Potential) -> Exits:
     angle = np.arctan2(row, col) / (2 * np.pi) % 1.0
     sector = np.where(on_rim, np.floor(angle * SECTORS).astype(np.int64) % SECTORS, -1)
     straight_um = straight_cost(col, row, potential)
-    body = np.stack([potential.body_col.reshape(-1), potential.body_row.reshape(-1)], axis=1)
-    turn_um = np.empty((len(body), SECTORS), np.int64)
+    turn_um = np.empty((len(potential.body_cell), SECTORS), np.int64)
     steps = backward_steps(table)
     for number in range(SECTORS):
         _leave(
@@ -73,13 +72,13 @@ def build_exits(table: StepTable, potential: Potential) -> Exits:
             length <= _RADIUS_CELLS,
             sector == number,
             straight_um,
-            body,
-            potential.potential_um.reshape(-1),
+            potential.body_cell,
+            potential.potential_um,
             steps,
         )
     rim = np.column_stack([v[on_rim] for v in (col, row, sector, straight_um)])
     ring = rim[length[on_rim] <= _RADIUS_CELLS + _RING_CELLS]
-    return Exits(turn_um=turn_um, rim=rim, ring=ring, radius_cells=_RADIUS_CELLS)
+    return ExitTable(turn_um=turn_um, rim=rim, ring=ring, radius_cells=_RADIUS_CELLS)
 
 
 def straight_cost(cols: IntArray, rows: IntArray, potential: Potential) -> IntArray:
@@ -115,7 +114,7 @@ def _leave(
                 cost_um[r, c] = potential_um - straight_um[r, c]
                 low, high = min(low, cost_um[r, c].min()), max(high, cost_um[r, c].max())
     width = least_step(steps)
-    # All that is in a bucket is found by a look at everything, as in `goal_table.py`.
+    # A scan of everything finds all that is in a bucket, as in `goal_table.py`.
     while low <= high:
         for r in range(size):
             for c in range(size):
@@ -202,24 +201,19 @@ def exit_bound(
     return least - 1
 
 
-# What turning costs, for a search that wants a plan soon: estimates, not bounds as those above.
-#
-# Both come from the exact table on an empty map. To go off one way while facing another costs what
-# a walk of some metres costs that ends along the line it goes, less the cost of that line. To
-# arrive from somewhere costs what the walk from there costs that begins facing the goal, less the
-# same.
-
 _AWAY_CELLS = 50
 _EXACT = 0.45  # of the cap of the table
 
 
 @dataclass(frozen=True, kw_only=True)
-class Facing:
-    """Costs in micrometres that the straight way at the rate of the 2D path does not count.
+class TurnEstimate:
+    """Estimated turning costs at either end of a plan, not bounds, for a first plan.
 
-    depart_um (2 H, SECTORS): to go off toward the middle of a sector, per heading * 2 + side, the
-    cost of the last step included. arrive_um (2 n + 1, 2 n + 1): to come from a body cell (goal in
-    the middle). exact_um: up to here the table itself knows nearly all headings.
+    Both are differences in micrometres between the goal table and the straight path at the rate of
+    the 2D path. depart_um (2 H, SECTORS): to leave toward the middle of a sector, per heading * 2 +
+    side, the cost of the last step included. arrive_um (2 n + 1, 2 n + 1): to arrive from a body
+    cell (goal in the middle), facing the goal there. exact_um: up to here the goal table itself
+    knows nearly all headings.
     """
 
     depart_um: IntArray
@@ -227,9 +221,9 @@ class Facing:
     exact_um: int
 
 
-def build_facing(potential: Potential, goal_table: GoalTable) -> Facing:
-    """The estimates of a step model."""
-    rows = 2 * len(potential.body_col)
+def build_turn_estimate(potential: Potential, goal_table: GoalTable) -> TurnEstimate:
+    """The estimate of a step model."""
+    rows = len(potential.body_cell)
     level_um = int(potential.move_um.min())
     along_um = _costs_at(
         potential, goal_table, np.array(-_AWAY_CELLS), np.array(0), np.arange(rows)
@@ -239,7 +233,7 @@ def build_facing(potential: Potential, goal_table: GoalTable) -> Facing:
     heading, side = np.arange(rows) // 2, np.arange(rows) % 2
     middle = np.rint((np.arange(SECTORS) + 0.5) / SECTORS * headings).astype(np.int64)
     turned = (heading[:, None] - middle[None, :]) % headings
-    return Facing(
+    return TurnEstimate(
         depart_um=along_um[turned * 2 + side[:, None]],
         arrive_um=_arrivals(potential, goal_table, int(along_um[:2].min())),
         exact_um=int(_EXACT * goal_table.cap_um),
@@ -247,8 +241,8 @@ def build_facing(potential: Potential, goal_table: GoalTable) -> Facing:
 
 
 def _arrivals(potential: Potential, goal_table: GoalTable, aligned_um: int) -> IntArray:
-    """`Facing.arrive_um`; aligned_um: what a walk costs that is straight from end to end."""
-    headings = len(potential.body_col)
+    """`TurnEstimate.arrive_um`; aligned_um: the cost of turning of a walk along a line."""
+    headings = len(potential.body_cell) // 2
     reach = len(goal_table.cost_um) // 2
     cells = np.arange(-reach, reach + 1)
     col, row = np.meshgrid(cells, cells)
@@ -264,6 +258,6 @@ def _costs_at(
 ) -> IntArray:
     """Exact costs (...) with the body in cells (...) in states heading * 2 + side."""
     reach = len(goal_table.cost_um) // 2
-    foot_col = np.clip(col - potential.body_col.reshape(-1)[state] + reach, 0, 2 * reach)
-    foot_row = np.clip(row - potential.body_row.reshape(-1)[state] + reach, 0, 2 * reach)
+    foot_col = np.clip(col - potential.body_cell[state, 0] + reach, 0, 2 * reach)
+    foot_row = np.clip(row - potential.body_cell[state, 1] + reach, 0, 2 * reach)
     return goal_table.cost_um[foot_row, foot_col, state].astype(np.int64)

@@ -1,4 +1,4 @@
-"""Path costs that spread over the body's cells: one flood for all who ask for them, compiled."""
+"""Wavefront propagation of path costs over the body's cells: Dijkstra's search or A*, compiled."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from planner.lattice.lattice import Int64s, Lattice, out_of_frame
 
 NOWHERE_UM = 1 << 30
 SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
-EVERYWHERE = np.zeros(0, np.uint8)
 NO_CELLS = np.zeros(0, np.int64)
 _RIM = 2  # cells at the edge of the lattice where no body is
 
 
-class Ahead(NamedTuple):
-    """The straight way from a cell to one at col, row, by what moves cost over free cells.
+class StraightCost(NamedTuple):
+    """Cost of the straight path to the cell at col, row over free cells, by the costs of moves.
 
-    slack_um: by how much less the whole counts.
+    slack_um: by how much less it counts.
     """
 
     col: int
@@ -34,12 +33,14 @@ class Ahead(NamedTuple):
     slack_um: int
 
 
+NO_COST_AHEAD = StraightCost(0, 0, 0, 0, 0, 0)  # the heuristic of Dijkstra's search
+
+
 class Queue(NamedTuple):
-    """A ring of buckets, each a stack, of cells to go on from.
+    """A ring of buckets, each a stack, of cells to expand.
 
     head (2^k,): first entry of each bucket; cells, costs, after (n,): of the entries the cell, its
-    cost + 1 and the next entry. at: how many bits of a key do not count for its bucket, the bucket
-    that is looked at, the last one that will be, and how many entries are used and how many wait.
+    cost + 1 and the next entry. at: see the constants below.
     """
 
     head: Int64s
@@ -49,7 +50,9 @@ class Queue(NamedTuple):
     at: Int64s
 
 
-SHIFT, BUCKET, LAST, USED, WAITING = range(5)  # entries of Queue.at
+# Entries of Queue.at: a bucket is 1 << SHIFT micrometres wide; the bucket in work and the last one
+# to expand, -1 while unknown; entries in use and entries that wait.
+SHIFT, BUCKET, LAST, USED, WAITING = range(5)
 
 
 class Moves(NamedTuple):
@@ -60,17 +63,14 @@ class Moves(NamedTuple):
     reach_m: float
 
 
-NOT_DRAWN = Ahead(0, 0, 0, 0, 0, 0)
-
-
 def moves_of(potential: Potential) -> Moves:
     """How paths of a robot's body move, and what that costs."""
     return Moves(MOVES, potential.move_um, potential.reach_m)
 
 
 @njit_no_refcount
-def ahead_um(ahead: Ahead, col: int, row: int) -> int:
-    """Cost of the straight way from a cell, less the slack."""
+def straight_um(ahead: StraightCost, col: int, row: int) -> int:
+    """Cost of the straight path from a cell, less the slack."""
     if ahead.level_um == 0:
         return 0
     across, up = abs(col - ahead.col), abs(row - ahead.row)
@@ -83,25 +83,25 @@ def ahead_um(ahead: Ahead, col: int, row: int) -> int:
 
 
 @njit_arrays
-def all_ahead_um(ahead: Ahead, cols: int, cells: Int64s) -> Int64s:
-    """`ahead_um` of cells (n,)."""
+def all_straight_um(ahead: StraightCost, cols: int, cells: Int64s) -> Int64s:
+    """`straight_um` of cells (n,)."""
     values_um = np.empty(len(cells), np.int64)
     for i in range(len(cells)):
-        values_um[i] = ahead_um(ahead, cells[i] % cols, cells[i] // cols)
+        values_um[i] = straight_um(ahead, cells[i] % cols, cells[i] // cols)
     return values_um
 
 
-def ahead_of(lattice: Lattice, potential: Potential, cells: Int64s) -> Ahead:
-    """The straight way to the nearest of some cells (n,), or less."""
+def straight_to(lattice: Lattice, potential: Potential, cells: Int64s) -> StraightCost:
+    """Lower bound on the straight path to the nearest of some cells (n,)."""
     col, row = (int(v.min() + v.max()) // 2 for v in (cells % lattice.cols, cells // lattice.cols))
     level_um, diagonal_um, knight_um = sorted(set(potential.move_um.tolist()))
-    ahead = Ahead(col, row, level_um, diagonal_um, knight_um, 0)
-    # By how much the straight way to one of the cells may be shorter than that to their middle.
-    return ahead._replace(slack_um=int(all_ahead_um(ahead, lattice.cols, cells).max()))
+    ahead = StraightCost(col, row, level_um, diagonal_um, knight_um, 0)
+    # By how much the straight path to one of the cells may be shorter than that to their middle.
+    return ahead._replace(slack_um=int(all_straight_um(ahead, lattice.cols, cells).max()))
 
 
 @njit_arrays
-def spread_costs(
+def propagate(
     lattice: Lattice,
     cost_um: NDArray[np.int32],
     seeds: Int64s,
@@ -109,37 +109,41 @@ def spread_costs(
     moves: Moves,
     wanted: Int64s,
     beyond_um: int,
-    mask: NDArray[np.uint8],
-    ahead: Ahead,
+    ahead: StraightCost,
 ) -> int:
-    """Path costs + 1 from the seeds (n,), each with its own cost, in order of cost and way ahead.
+    """Path costs + 1 from the seeds (n,), each with its own cost, in order of cost + `ahead`.
 
     cost_um (rows * cols,): filled in, SHUT_CELL where no body can be; what is SHUT_CELL already
-    stays so. wanted (k,): the end comes so much after the first of these has its cost; with none
-    all is done. mask (rows * cols,): cells that costs may spread to, all for (0,). ahead: NOT_DRAWN
-    for Dijkstra's search, else A*. A ring of buckets; in one, cells are done in any order.
+    stays so. wanted (k,): it ends so much beyond the cost of the first of these; with none it
+    covers the map. In one bucket cells are expanded in any order.
 
-    Returns NOWHERE_UM once no cell is left; else what the cost and the way ahead of any cell that
-    was not done add up to at least.
+    Returns NOWHERE_UM once no cell is left; else a lower bound on cost + ahead of all cells that
+    were not expanded.
     """
     queue = _queue_seeds(lattice, cost_um, seeds, seed_um, moves, ahead)
-    while not _spread_on(lattice, cost_um, moves, wanted, beyond_um, mask, ahead, queue):
-        queue = _with_more_room(queue)
+    while not _expand(lattice, cost_um, moves, wanted, beyond_um, ahead, queue):
+        used = len(queue.cells)
+        queue = Queue(
+            queue.head,
+            with_room(queue.cells, used, 1),
+            with_room(queue.costs, used, 1),
+            with_room(queue.after, used, 1),
+            queue.at,
+        )
     return NOWHERE_UM if queue.at[WAITING] == 0 else queue.at[BUCKET] << queue.at[SHIFT]
 
 
 @njit_no_refcount
-def _spread_on(
+def _expand(
     lattice: Lattice,
     cost_um: NDArray[np.int32],
     moves: Moves,
     wanted: Int64s,
     beyond_um: int,
-    mask: NDArray[np.uint8],
-    ahead: Ahead,
+    ahead: StraightCost,
     queue: Queue,
 ) -> bool:
-    """As `spread_costs` from what is in the queue; whether it came to the end within its room."""
+    """As `propagate` from what is in the queue; whether it came to the end within its room."""
     # In local names: taken from the tuples in the loop they cost more than the loop itself.
     around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
     head, cells, costs, after, at = queue.head, queue.cells, queue.costs, queue.after, queue.at
@@ -171,14 +175,12 @@ def _spread_on(
                     continue  # as it is if it is shut
                 if old == 0:
                     x, y = _on_map(plane, to_col, to_row)
-                    shut = len(mask) > 0 and mask[near] == 0
-                    if clearance_at(clearance_m, size_m, x, y) <= max(reach_m, 0.0):
-                        shut = shut or _is_shut(lattice, to_col, to_row, reach_m)
-                    if shut:
+                    is_near = clearance_at(clearance_m, size_m, x, y) <= max(reach_m, 0.0)
+                    if is_near and _is_shut(lattice, to_col, to_row, reach_m):
                         cost_um[near] = SHUT_CELL
                         continue
                 cost_um[near] = there
-                slot = (there - 1 + ahead_um(ahead, to_col, to_row)) >> shift & ring
+                slot = (there - 1 + straight_um(ahead, to_col, to_row)) >> shift & ring
                 cells[used], costs[used] = near, there
                 if slot == bucket & ring:
                     # It is due in this very turn.
@@ -197,49 +199,31 @@ def _spread_on(
 
 
 @njit_arrays
-def _with_more_room(queue: Queue) -> Queue:
-    """The queue with room for twice as many entries."""
-    used = len(queue.cells)
-    return Queue(
-        queue.head,
-        with_room(queue.cells, used, 1),
-        with_room(queue.costs, used, 1),
-        with_room(queue.after, used, 1),
-        queue.at,
-    )
-
-
-@njit_arrays
 def _queue_seeds(
     lattice: Lattice,
     cost_um: NDArray[np.int32],
     seeds: Int64s,
     seed_um: Int64s,
     moves: Moves,
-    ahead: Ahead,
+    ahead: StraightCost,
 ) -> Queue:
     """The queue with the seeds in it."""
     shift = 0
     while 2 << shift <= moves.cost_um.min():
         shift += 1
-    key_um = np.empty(len(seeds), np.int64)
+    key_um = seed_um + all_straight_um(ahead, lattice.cols, seeds)
     low, high = NOWHERE_UM, 0
-    for i in range(len(seeds)):
-        row = seeds[i] // lattice.cols
-        key_um[i] = seed_um[i] + ahead_um(ahead, seeds[i] - row * lattice.cols, row)
-        low, high = min(low, key_um[i]), max(high, key_um[i])
-    # The way ahead changes by no more than a move costs.
+    for key in key_um:
+        low, high = min(low, key), max(high, key)
+    # The straight path changes by no more than a move costs.
     span = (2 * moves.cost_um.max() + max(high - low, 0) >> shift) + 2
     ring = 1
     while ring < span:
         ring *= 2
     head = np.full(ring, -1, np.int64)
     room = max(1 << 13, 2 * len(seeds))
-    cells, costs, after = (
-        np.empty(room, np.int64),
-        np.empty(room, np.int64),
-        np.empty(room, np.int64),
-    )
+    cells, costs = np.empty(room, np.int64), np.empty(room, np.int64)
+    after = np.empty(room, np.int64)
     used = 0
     for i in range(len(seeds)):
         cell, slot = seeds[i], key_um[i] >> shift & ring - 1

@@ -11,18 +11,20 @@ from numpy.typing import NDArray
 from planner.collision import box_free, clearance_at
 from planner.compiled import njit_arrays, njit_no_refcount
 from planner.lattice.lattice import (
+    Int64s,
     Lattice,
     clearance_cost,
-    first_climbs,
+    feet_climb,
+    node_foot,
     node_free,
+    node_height_um,
     radius_of,
     to_grid,
 )
 from planner.lattice.steps import allowed, step_cost_um
-from planner.robot_model import Side, StepModel
+from planner.robot_model import Side, StepModel, half_box
 
 FloatArray = NDArray[np.float64]
-Int64s = NDArray[np.int64]
 
 
 def first_steps(
@@ -42,52 +44,32 @@ def first_steps(
     """
     limits = model.limits
     spans = np.array([limits.x_m, limits.y_m, limits.yaw_rad])
-    far_m = math.hypot(*np.abs(spans[:2]).max(axis=1))
-    around = [
-        _nodes_around(
-            *(lattice.cols, lattice.rows, lattice.headings, lattice.origin_col, lattice.origin_row),
-            lattice.cell_m,
-            feet_lattice[swing.other],
-            int(swing),
-            swing.outward * model.stance_width_m / 2,
-            spans,
-            far_m,
-        )
-        for swing in swings
-    ]
+    around = [_nodes_around(lattice, feet_lattice[side.other], int(side), spans) for side in swings]
     nodes, poses, steps = (np.concatenate(parts) for parts in zip(*around, strict=True))
     keep = allowed(steps, model)
     nodes, poses, steps = nodes[keep], poses[keep], steps[keep]
     costs_um = step_cost_um(steps, model)
-    body = (model.body.length_m / 2 + body_margin_m, model.body.width_m / 2 + body_margin_m)
     free = np.zeros(len(nodes), np.bool_)
-    _check_first(lattice, nodes, poses, costs_um, feet_lattice, body, free)
-    if len(lattice.node_um):
-        _check_climbs(lattice, nodes, feet_lattice, feet_um, free)
+    body = half_box(model.body, body_margin_m)
+    _check_first(lattice, nodes, poses, costs_um, feet_lattice, feet_um, body, free)
     return nodes[free], costs_um[free]
 
 
 @njit_arrays
 def _nodes_around(
-    cols: int,
-    rows: int,
-    headings: int,
-    origin_col: int,
-    origin_row: int,
-    cell_m: float,
-    support: FloatArray,
-    swing: int,
-    shift_m: float,
-    spans: FloatArray,
-    far_m: float,
+    lattice: Lattice, support: FloatArray, swing: int, spans: FloatArray
 ) -> tuple[Int64s, FloatArray, FloatArray]:
     """Nodes (n,) of a side within the limits (3, 2) or a hair beyond, their poses and steps (n, 3).
 
     Steps are from the support foot (3,), as `plan.relative_step` has them.
     """
+    cols, rows, headings, cell_m = lattice.cols, lattice.rows, lattice.headings, lattice.cell_m
+    origin_col, origin_row = lattice.origin_col, lattice.origin_row
     hair = 1e-6
+    far_m = math.hypot(np.abs(spans[0]).max(), np.abs(spans[1]).max())
     bin_rad = 2 * math.pi / headings
     out = 1 - 2 * swing
+    shift_m = out * lattice.half_stance_m
     cos, sin = math.cos(support[2]), math.sin(support[2])
     first_col = max(math.floor((support[0] - far_m) / cell_m), -origin_col)
     last_col = min(math.ceil((support[0] + far_m) / cell_m), cols - origin_col - 1)
@@ -126,41 +108,38 @@ def _check_first(
     poses: FloatArray,
     costs_um: Int64s,
     feet: FloatArray,
+    feet_um: Int64s,
     body: tuple[float, float],
     free: NDArray[np.bool_],
 ) -> None:
-    """Marks the nodes (n,) whose foot and body are free, and adds the cost of clearance."""
+    """Marks the nodes (n,) that a first step may lead to, and adds the cost of clearance.
+
+    Foot and body are free there, and neither ground nor rise is too high.
+    """
     terrain = lattice.terrain
     clearance_m, size_m, radius_m = terrain.clearance_m, terrain.resolution_m, radius_of(body)
     frame_yaw = math.atan2(lattice.frame[3], lattice.frame[2])
     for i in range(len(nodes)):
         if not node_free(lattice, nodes[i]):
             continue
-        support = feet[1 - (nodes[i] & 1)]
+        side = nodes[i] & 1
+        support = feet[1 - side]
         x, y = 0.5 * (poses[i, 0] + support[0]), 0.5 * (poses[i, 1] + support[1])
         turn = (poses[i, 2] - support[2] + math.pi) % (2 * math.pi) - math.pi
         yaw = frame_yaw + support[2] + 0.5 * turn
         gx, gy = to_grid(lattice, x, y)
         clear_m = clearance_at(clearance_m, size_m, gx, gy)
-        if clear_m > radius_m or box_free(
+        if clear_m <= radius_m and not box_free(
             terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]
         ):
-            free[i] = True
-            if clear_m < lattice.clearance[0]:
-                costs_um[i] += clearance_cost(lattice, clear_m)
-
-
-@njit_no_refcount
-def _check_climbs(
-    lattice: Lattice, nodes: Int64s, feet: FloatArray, feet_um: Int64s, free: NDArray[np.bool_]
-) -> None:
-    """Unmarks the nodes (n,) that are too high, too low or behind ground that is too high."""
-    frame_yaw = math.atan2(lattice.frame[3], lattice.frame[2])
-    for i in range(len(nodes)):
-        if free[i]:
-            side = 1 - (nodes[i] & 1)
-            support = feet[side]
-            yaw = frame_yaw + support[2]
+            continue
+        if len(lattice.node_um) > 0:
             x, y = to_grid(lattice, support[0], support[1])
+            yaw = frame_yaw + support[2]
             foot = x, y, math.cos(yaw), math.sin(yaw)
-            free[i] = first_climbs(lattice, foot, feet_um[side], nodes[i])
+            swing, swing_um = node_foot(lattice, nodes[i]), node_height_um(lattice, nodes[i])
+            if not feet_climb(lattice, foot, swing, feet_um[1 - side], swing_um, side):
+                continue
+        free[i] = True
+        if clear_m < lattice.clearance[0]:
+            costs_um[i] += clearance_cost(lattice, clear_m)

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import NO_GROUND_UM, box_free, box_heights
+from planner.collision import NO_GROUND_UM, box_free
 from planner.compiled import njit_arrays, njit_no_refcount, slot_of
 from planner.lattice.lattice import (
     Int64s,
     Lattice,
     decoded,
+    level_height_um,
     node_foot,
     node_free,
     node_pose,
@@ -94,10 +95,10 @@ def may_end_at(lattice: Lattice, node: int) -> bool:
         return False
     if len(lattice.node_um) == 0:
         return True
-    low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
-    rise = abs(high - lattice.node_um[slot_of(lattice.slots, node)])
+    height_um = level_height_um(lattice, (x, y, cos, sin))
+    rise = abs(height_um - lattice.node_um[slot_of(lattice.slots, node)])
     lowest, highest, level, _ = lattice.climb_um
-    return low != NO_GROUND_UM and high - low <= level and rise <= min(-lowest, highest, level)
+    return height_um != NO_GROUND_UM and rise <= min(-lowest, highest, level)
 
 
 @njit_no_refcount
@@ -105,8 +106,7 @@ def height_beside(lattice: Lattice, node: int) -> int:
     """Height in micrometres of the ground under the other foot beside that of a node."""
     if len(lattice.node_um) == 0:
         return 0
-    x, y, cos, sin = _foot_beside(lattice, node)
-    return box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])[1]
+    return level_height_um(lattice, _foot_beside(lattice, node))
 
 
 @njit_arrays

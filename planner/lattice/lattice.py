@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from maps.grid import OccupancyGrid
 from planner.collision import (
     NEAR_M,
+    NO_GROUND_UM,
     Terrain,
     box_free,
     box_heights,
@@ -32,16 +33,16 @@ from planner.compiled import (
     take_slot,
     zeros,
 )
-from planner.lattice.steps import MICRO, StepTable
-from planner.robot_model import StepModel
+from planner.lattice.frame import Frame
+from planner.lattice.steps import MICRO, StepTable, numbered_steps
+from planner.robot_model import StepModel, half_box
 
 UNKNOWN, FREE, BLOCKED = 0, 1, 2
 _PAIR_SLOTS = 1 << 15
 
-Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 Floats = NDArray[np.float64]
-
+Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
 
 # Columns of Lattice.steps
 COST_UM, D_COL, D_ROW, D_NODE, D_CELL, TO_ROW, D_HALF, HALF_HEADING = range(8)
@@ -72,7 +73,7 @@ class Lattice(NamedTuple):
     origin_col: int
     origin_row: int
     cell_m: float
-    frame: tuple[float, float, float, float]
+    frame: Frame
     half_stance_m: float
     foot: tuple[float, float]
     body: tuple[float, float]
@@ -93,28 +94,18 @@ class Lattice(NamedTuple):
         """How many nodes there are."""
         return self.cols * self.rows * self.headings * 2
 
+    @property
+    def goal_cell(self) -> Int64s:
+        """Number of the goal's cell (1,)."""
+        return np.array([self.origin_row * self.cols + self.origin_col])
 
-def build_steps(table: StepTable, cols: int) -> Int64s:
-    """The step table (2 H, K, 8) as number differences on a lattice of so many columns."""
-    headings, _, most = table.cost_um.shape
-    index = np.indices(table.cost_um.shape)
-    heading, side = index[0], index[1]
-    to_row = (heading + table.d_heading) % headings * 2 + 1 - side
-    d_cell = table.d_row * cols + table.d_col
-    columns = [
-        table.cost_um,
-        table.d_col,
-        table.d_row,
-        d_cell * headings * 2 + to_row - (heading * 2 + side),
-        d_cell,
-        to_row,
-        table.d_row * 2 * cols + table.d_col,
-        (2 * heading + table.d_heading) % (2 * headings),
-    ]
-    return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(2 * headings, most, 8))
+    @property
+    def goal_nodes(self) -> Int64s:
+        """Nodes of the goal feet (2,), left then right."""
+        return self.goal_cell * self.headings * 2 + np.arange(2)
 
 
-def turned_round(steps: Int64s) -> Int64s:
+def reversed_steps(steps: Int64s) -> Int64s:
     """Steps (2 H, K', 8) by the row in which they end, as `Lattice.steps` by the first."""
     from_row, number = np.nonzero(steps[..., COST_UM])
     back = steps[from_row, number]
@@ -152,7 +143,7 @@ def build_lattice(
     half_bins = yaw_rad + np.arange(2 * model.headings) * (np.pi / model.headings)
     return Lattice(
         terrain=terrain,
-        steps=build_steps(table, cols),
+        steps=numbered_steps(table, cols),
         cols=cols,
         rows=rows,
         headings=model.headings,
@@ -161,16 +152,16 @@ def build_lattice(
         cell_m=model.cell_m,
         frame=(x_m, y_m, cos, sin),
         half_stance_m=model.stance_width_m / 2,
-        foot=_half_box(model.foot.length_m, model.foot.width_m, model.foot_margin_m),
-        body=_half_box(model.body.length_m, model.body.width_m, model.body_margin_m),
+        foot=half_box(model.foot, model.foot_margin_m),
+        body=half_box(model.body, model.body_margin_m),
         clearance=_clearance(model),
         cos=np.cos(half_bins),
         sin=np.sin(half_bins),
         slots=slots,
         node_state=zeros(slots.length, np.uint8),
         pair_key=zeros(_PAIR_SLOTS, np.int64),
-        tread=_half_box(model.foot.length_m, model.foot.width_m, model.level_margin_m),
-        sole=_half_box(model.foot.length_m, model.foot.width_m, 0.0),
+        tread=half_box(model.foot, model.level_margin_m),
+        sole=half_box(model.foot, 0.0),
         swing_reach_m=_swing_reach(model),
         climb_um=_climb(model),
         node_um=zeros(0 if terrain.is_flat else slots.length, np.int32),
@@ -190,10 +181,8 @@ def _clearance(model: StepModel) -> tuple[float, float, float]:
 
 def _climb(model: StepModel) -> tuple[int, int, int, int]:
     """Lowest and highest rise of a step, what counts as level, and what a swing clears, in um."""
-    low_m, high_m = model.limits.z_m
-    low, high, level, clear = (
-        round(value_m * MICRO) for value_m in (low_m, high_m, model.level_m, model.swing_clear_m)
-    )
+    values_m = *model.limits.z_m, model.level_m, model.swing_clear_m
+    low, high, level, clear = (round(value_m * MICRO) for value_m in values_m)
     return low, high, level, clear
 
 
@@ -205,14 +194,8 @@ def _swing_reach(model: StepModel) -> float:
     return step_m + model.stance_width_m + sole_m
 
 
-def _half_box(length_m: float, width_m: float, margin_m: float) -> tuple[float, float]:
-    return length_m / 2 + margin_m, width_m / 2 + margin_m
-
-
 @njit_no_refcount
-def out_of_frame(
-    frame: tuple[float, float, float, float], x: float, y: float
-) -> tuple[float, float]:
+def out_of_frame(frame: Frame, x: float, y: float) -> tuple[float, float]:
     """Point of a frame, given by x, y, cos and sin, in the frame that it is given in."""
     ox, oy, cos, sin = frame
     return ox + cos * x - sin * y, oy + sin * x + cos * y
@@ -256,6 +239,12 @@ def node_foot(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     x, y = to_grid(lattice, x, y)
     heading = (node >> 1) % lattice.headings
     return x, y, lattice.cos[2 * heading], lattice.sin[2 * heading]
+
+
+@njit_no_refcount
+def foot_at(pose: Floats) -> tuple[float, float, float, float]:
+    """The foot of a pose (3,) in the grid frame."""
+    return pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
 
 
 @njit_no_refcount
@@ -312,13 +301,30 @@ def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
     if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
         return False
     if len(lattice.node_um) > 0:
-        low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
-        if high - low > lattice.climb_um[2]:
+        height_um = level_height_um(lattice, (x, y, cos, sin))
+        if height_um == NO_GROUND_UM:
             return False
-        lattice.node_um[slot] = high
+        lattice.node_um[slot] = height_um
     inward = (1 - 2 * (node & 1)) * lattice.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
     return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body[0], lattice.body[1])
+
+
+@njit_no_refcount
+def node_height_um(lattice: Lattice, node: int) -> int:
+    """Height of the ground under a node that was found free; the floor must not be flat."""
+    return lattice.node_um[slot_of(lattice.slots, node)]
+
+
+@njit_no_refcount
+def level_height_um(lattice: Lattice, foot: Foot) -> int:
+    """Height of the ground under a foot in micrometres; NO_GROUND_UM where it is not level.
+
+    The floor must not be flat.
+    """
+    x, y, cos, sin = foot
+    low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
+    return high if high - low <= lattice.climb_um[2] else NO_GROUND_UM
 
 
 @njit_no_refcount
@@ -370,25 +376,10 @@ def clearance_cost(lattice: Lattice, clearance_m: float) -> int:
     return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))
 
 
-# Whether a step between two places on uneven ground can be made: its rise and what it swings over.
-#
-# Before a step the swinging foot stands somewhere that the search no longer knows. Every swing is
-# therefore taken to pass beside the support foot, a stance width away and parallel to it, and each
-# step answers for two ways: that of its own foot from beside the support foot to its place, and
-# that of the support foot, which swings next, from its place to beside the foot just put down. Over
-# both the ground must be no higher than what the swing clears.
-
-Foot = tuple[float, float, float, float]  # x, y, cos, sin in the grid frame
-
-
 @njit_no_refcount
 def step_climbs(lattice: Lattice, support: int, swing: int) -> bool:
-    """Whether the step between two free nodes is within the limits of rise and of its swing.
-
-    The space must not be flat.
-    """
-    support_um = lattice.node_um[slot_of(lattice.slots, support)]
-    swing_um = lattice.node_um[slot_of(lattice.slots, swing)]
+    """As `feet_climb`, between two free nodes. The floor must not be flat."""
+    support_um, swing_um = node_height_um(lattice, support), node_height_um(lattice, swing)
     rise = swing_um - support_um
     if rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
         return False
@@ -396,18 +387,22 @@ def step_climbs(lattice: Lattice, support: int, swing: int) -> bool:
     highest = max(support_um, swing_um) + lattice.climb_um[3]
     if _lower_around(lattice, foot, highest):
         return True
-    return swing_clears(lattice, foot, node_foot(lattice, swing), swing & 1, highest)
+    return _swing_clears(lattice, foot, node_foot(lattice, swing), swing & 1, highest)
 
 
 @njit_no_refcount
-def first_climbs(lattice: Lattice, support: Foot, support_um: int, swing: int) -> bool:
-    """As `step_climbs`, from a foot that stands anywhere."""
-    swing_um = lattice.node_um[slot_of(lattice.slots, swing)]
+def feet_climb(
+    lattice: Lattice, support: Foot, swing: Foot, support_um: int, swing_um: int, side: int
+) -> bool:
+    """Whether a step is within the limits of rise and clears the ground that it swings over.
+
+    support_um, swing_um: heights of the ground under the feet. side: that of the swing foot.
+    """
     rise = swing_um - support_um
     if rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
         return False
     highest = max(support_um, swing_um) + lattice.climb_um[3]
-    return swing_clears(lattice, support, node_foot(lattice, swing), swing & 1, highest)
+    return _swing_clears(lattice, support, swing, side, highest)
 
 
 @njit_no_refcount
@@ -423,10 +418,13 @@ def _lower_around(lattice: Lattice, foot: Foot, highest: int) -> bool:
 
 
 @njit_no_refcount
-def swing_clears(lattice: Lattice, support: Foot, swing: Foot, side: int, highest: int) -> bool:
-    """Whether the ground on both ways that a step answers for is no higher than that (um).
+def _swing_clears(lattice: Lattice, support: Foot, swing: Foot, side: int, highest: int) -> bool:
+    """Whether the ground below a step's swing is no higher than that (um).
 
-    side: that of the swing foot, 0 left, 1 right.
+    The search does not know where the swing foot stood before. So every swing is taken to pass
+    beside the support foot, a stance width away and parallel to it, and each step is checked for
+    two ways: that of its own foot from beside the support foot to its place, and that of the
+    support foot, which swings next, from its place to beside the foot just put down.
     """
     stance_m = 2.0 * lattice.half_stance_m * (1 - 2 * side)
     beside_support = support[0] - support[3] * stance_m, support[1] + support[2] * stance_m

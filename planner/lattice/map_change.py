@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.collision import Terrain
 from planner.compiled import njit_no_refcount, slot_of
+from planner.lattice.frame import points_from_grid
 from planner.lattice.lattice import D_COL, D_ROW, UNKNOWN, Int64s, Lattice
 
 
@@ -65,10 +66,9 @@ def _cells_around(lattice: Lattice, changed: NDArray[np.bool_], sight_m: float) 
     row, col = np.nonzero(changed)
     if not len(row):
         return np.zeros(0, np.int64)
-    ox, oy, cos, sin = lattice.frame
     size = lattice.terrain.resolution_m
-    dx, dy = (col + 0.5) * size - ox, (row + 0.5) * size - oy
-    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+    centres = (np.array([col, row], float) + 0.5) * size
+    x, y = points_from_grid(lattice.frame, centres[0], centres[1])
     across = np.rint(x / lattice.cell_m).astype(np.int64) + lattice.origin_col
     up = np.rint(y / lattice.cell_m).astype(np.int64) + lattice.origin_row
     # The distance field counts a blocked cell as nearer by up to its diagonal, to the point and to

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.plan import wrap_angle
 from planner.robot_model import FootShape, Side, StepModel
 
 MICRO = 1e6  # costs are whole micrometres, so sums are exact and plans repeat to the bit
@@ -43,26 +42,16 @@ class StepTable:
     cost_um: IntArray
 
 
-def moved_cells(table: StepTable, body_col: IntArray, body_row: IntArray) -> IntArray:
+def moved_cells(table: StepTable, body_cell: IntArray) -> IntArray:
     """Columns and rows (H, 2, K, 2) by which steps move the body's cell.
 
-    body_col, body_row (H, 2): that cell from the foot's node.
+    body_cell (2 H, 2): col and row of that cell from the foot's node, per heading * 2 + side.
     """
+    headings = len(table.cost_um)
     heading, side, _ = np.indices(table.cost_um.shape)
-    to_heading, to_side = (heading + table.d_heading) % len(body_col), 1 - side
-    return np.stack(
-        [
-            move + body[to_heading, to_side] - body[heading, side]
-            for move, body in ((table.d_col, body_col), (table.d_row, body_row))
-        ],
-        axis=-1,
-    )
-
-
-def foot_position(col: FloatArray, row: FloatArray, side: int, model: StepModel) -> FloatArray:
-    """Positions (..., 2) in the lattice frame of feet of one side at (col, row)."""
-    shift_m = Side(side).outward * model.stance_width_m / 2
-    return np.stack([col * model.cell_m, row * model.cell_m + shift_m], axis=-1)
+    to_row = (heading + table.d_heading) % headings * 2 + 1 - side
+    move = np.stack([table.d_col, table.d_row], axis=-1)
+    return move + body_cell[to_row] - body_cell[heading * 2 + side]
 
 
 def step_cost_um(steps: FloatArray, model: StepModel) -> IntArray:
@@ -179,13 +168,21 @@ def _round_turn(yaw_rad: float, bin_rad: float, model: StepModel) -> int:
     return int(np.clip(np.rint(yaw_rad / bin_rad), lowest, highest))
 
 
-def table_steps(table: StepTable, model: StepModel) -> FloatArray:
-    """Steps (H, 2, K, 3) in the support foot's frame, outward positive, as the table has them."""
-    bin_rad = 2 * np.pi / model.headings
-    yaw_rad = (np.arange(model.headings) * bin_rad)[:, None, None]
-    out = np.array([side.other.outward for side in Side])[None, :, None]
-    dx_m = table.d_col * model.cell_m
-    dy_m = table.d_row * model.cell_m + out * model.stance_width_m
-    x_m = np.cos(yaw_rad) * dx_m + np.sin(yaw_rad) * dy_m
-    y_m = out * (-np.sin(yaw_rad) * dx_m + np.cos(yaw_rad) * dy_m)
-    return np.stack([x_m, y_m, wrap_angle(out * table.d_heading * bin_rad)], axis=-1)
+def numbered_steps(table: StepTable, cols: int) -> IntArray:
+    """The step table as `Lattice.steps` (2 H, K, 8), for a lattice of so many columns."""
+    headings, _, most = table.cost_um.shape
+    index = np.indices(table.cost_um.shape)
+    heading, side = index[0], index[1]
+    to_row = (heading + table.d_heading) % headings * 2 + 1 - side
+    d_cell = table.d_row * cols + table.d_col
+    columns = [
+        table.cost_um,
+        table.d_col,
+        table.d_row,
+        d_cell * headings * 2 + to_row - (heading * 2 + side),
+        d_cell,
+        to_row,
+        table.d_row * 2 * cols + table.d_col,
+        (2 * heading + table.d_heading) % (2 * headings),
+    ]
+    return np.ascontiguousarray(np.stack(columns, axis=-1).reshape(2 * headings, most, 8))

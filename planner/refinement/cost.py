@@ -12,17 +12,33 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import NO_GROUND_UM, Terrain, box_free, box_heights, point_clearance
+from planner.collision import Terrain, box_free, point_clearance
 from planner.compiled import njit_no_refcount
-from planner.lattice.lattice import Lattice, clearance_cost, swing_clears
+from planner.lattice.lattice import (
+    Lattice,
+    clearance_cost,
+    feet_climb,
+    foot_at,
+    level_height_um,
+)
 from planner.lattice.steps import MICRO
-from planner.robot_model import StepModel
+from planner.robot_model import StepModel, half_box
 
 FloatArray = NDArray[np.float64]
 NOT_ALLOWED = -1
 _TOLERANCE = 1e-9
 _CORNER_M = 1e-3  # over which the corners of the cost are rounded off
 _HINGE_M = 0.05  # over which the clearance is smoothed
+
+
+class Weights(NamedTuple):
+    """Cost of a step: see `StepModel`; turn, side and back in metres per radian or metre."""
+
+    stance_m: float
+    step_m: float
+    turn: float
+    side: float
+    back: float
 
 
 class RefinementProblem(NamedTuple):
@@ -32,8 +48,7 @@ class RefinementProblem(NamedTuple):
     n . (x, y) <= c in which a step's x and y lie, as (n, c), if there are any. foot: half length
     and half width of the foot, half of the gap between feet included. first_body: half length and
     half width of the body at the first pair pose, where the robot may stand nearer than the margin.
-    weights: stance width, and the costs of a step, of turning, of y off the stance width, of going
-    back. feet (2, 3), feet_um (2,): where the robot stands.
+    feet (2, 3), feet_um (2,): where the robot stands.
     """
 
     lattice: Lattice
@@ -41,7 +56,7 @@ class RefinementProblem(NamedTuple):
     reach: FloatArray
     foot: tuple[float, float]
     first_body: tuple[float, float]
-    weights: tuple[float, float, float, float, float]
+    weights: Weights
     feet: FloatArray
     feet_um: NDArray[np.int64]
 
@@ -59,17 +74,14 @@ def refinement_problem(
         lattice=lattice,
         limits=np.array([*limits.x_m, *limits.y_m, *limits.yaw_rad]),
         reach=np.ascontiguousarray(limits.half_planes),
-        foot=(model.foot.length_m / 2 + half_gap_m, model.foot.width_m / 2 + half_gap_m),
-        first_body=(
-            model.body.length_m / 2 + first_body_margin_m,
-            model.body.width_m / 2 + first_body_margin_m,
-        ),
-        weights=(
-            model.stance_width_m,
-            model.step_cost_m,
-            model.turn_cost_m,
-            model.side_cost_m,
-            model.back_cost_m,
+        foot=half_box(model.foot, half_gap_m),
+        first_body=half_box(model.body, first_body_margin_m),
+        weights=Weights(
+            stance_m=model.stance_width_m,
+            step_m=model.step_cost_m,
+            turn=model.turn_cost_m,
+            side=model.side_cost_m,
+            back=model.back_cost_m,
         ),
         feet=feet,
         feet_um=feet_um,
@@ -114,23 +126,15 @@ def gap_axis(
     best, d_x, d_y, d_yaw = abs(y) - wide, 0.0, sign, -d_wide
     if abs(across) - wide > best:
         sign = 1.0 if across >= 0 else -1.0
-        best, d_x, d_y, d_yaw = (
-            abs(across) - wide,
-            -sign * sin,
-            sign * cos,
-            -sign * along - d_wide,
-        )
+        best, d_x, d_y = abs(across) - wide, -sign * sin, sign * cos
+        d_yaw = -sign * along - d_wide
     if abs(x) - long > best:
         sign = 1.0 if x >= 0 else -1.0
         best, d_x, d_y, d_yaw = abs(x) - long, sign, 0.0, -d_long
     if abs(along) - long > best:
         sign = 1.0 if along >= 0 else -1.0
-        best, d_x, d_y, d_yaw = (
-            abs(along) - long,
-            sign * cos,
-            sign * sin,
-            sign * across - d_long,
-        )
+        best, d_x, d_y = abs(along) - long, sign * cos, sign * sin
+        d_yaw = sign * across - d_long
     return best, d_x, d_y, d_yaw
 
 
@@ -148,36 +152,7 @@ def foot_pose_free(lattice: Lattice, pose: FloatArray, outward: float) -> bool:
 @njit_no_refcount
 def foot_height_um(lattice: Lattice, pose: FloatArray) -> int:
     """Height of the ground under a foot in micrometres; NO_GROUND_UM where it is not level."""
-    if len(lattice.node_um) == 0:
-        return 0
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    half_l, half_w = lattice.tread
-    low, high = box_heights(lattice.terrain, pose[0], pose[1], cos, sin, half_l, half_w)
-    return high if high - low <= lattice.climb_um[2] else NO_GROUND_UM
-
-
-@njit_no_refcount
-def _step_climbs(
-    lattice: Lattice,
-    support: FloatArray,
-    swing: FloatArray,
-    support_um: int,
-    swing_um: int,
-    outward: float,
-) -> bool:
-    """Whether a step keeps the limits of rise and of swing height, as `lattice.step_climbs`."""
-    if len(lattice.node_um) == 0:
-        return True
-    rise = swing_um - support_um
-    if swing_um == NO_GROUND_UM or rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
-        return False
-    return swing_clears(
-        lattice,
-        (support[0], support[1], math.cos(support[2]), math.sin(support[2])),
-        (swing[0], swing[1], math.cos(swing[2]), math.sin(swing[2])),
-        0 if outward > 0 else 1,
-        max(support_um, swing_um) + lattice.climb_um[3],
-    )
+    return 0 if len(lattice.node_um) == 0 else level_height_um(lattice, foot_at(pose))
 
 
 @njit_no_refcount
@@ -217,8 +192,10 @@ def plan_cost_um(problem: RefinementProblem, poses: FloatArray, first_outward: f
         if not _within_limits(problem, x, y, yaw):
             return NOT_ALLOWED
         swing_um = foot_height_um(lattice, poses[i])
-        if not _step_climbs(lattice, poses[i - 1], poses[i], support_um, swing_um, outward):
-            return NOT_ALLOWED
+        if len(lattice.node_um) > 0:
+            support, swing, side = foot_at(poses[i - 1]), foot_at(poses[i]), 0 if outward > 0 else 1
+            if not feet_climb(lattice, support, swing, support_um, swing_um, side):
+                return NOT_ALLOWED
         cost_m = math.hypot(x, y) + per_step + per_turn * abs(yaw)
         cost_m += per_side * abs(y - stance) + per_back * max(-x, 0.0)
         total += int(np.rint(cost_m * MICRO))
@@ -250,7 +227,7 @@ def add(
 
 @njit_no_refcount
 def add_step_cost(
-    weights: tuple[float, float, float, float, float],
+    weights: Weights,
     i: int,
     step: FloatArray,
     along: FloatArray,

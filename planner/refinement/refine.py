@@ -1,10 +1,8 @@
 """Refinement of a plan off the lattice: its steps move to where they cost less, and get fewer.
 
-The search rounds every step to a lattice and takes steps from a set; the robot can make any step
-within its limits. So the steps of the plan are moved continuously, within the same limits and clear
-of the same obstacles, to the least cost (`interior_point`). A straighter path needs fewer steps: it
-is resampled with fewer and longer ones and relaxed again, as long as that is valid and cheaper. The
-last two feet stay those of the goal, the start feet where the robot stands.
+The steps are moved within their limits and clear of obstacles to the least cost (`interior_point`).
+A straighter path needs fewer steps: it is resampled with fewer and longer ones and relaxed again,
+as long as that is valid and cheaper. The last two feet stay those of the goal.
 
 Where turning is cheap, walking straight with both feet turned out would be cheapest, because the
 line from foot to foot crosses over less. No robot should walk like that, so a radian costs at least
@@ -21,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.compiled import njit_arrays
+from planner.lattice.frame import poses_from_grid, poses_to_grid
 from planner.lattice.steps import MICRO
-from planner.plan import wrap_angle
 from planner.refinement.cost import (
     NOT_ALLOWED,
     RefinementProblem,
@@ -57,30 +55,24 @@ def refine(request: Request, result: Result) -> Result:
     lattice, model = request.lattice, request.model
     if len(result.side) <= 2:
         return result
-    problem = refinement_problem(
-        lattice,
-        model,
-        _to_grid(request.feet_lattice, lattice.frame),
-        np.rint(request.feet_m * MICRO).astype(np.int64),
-        0.0 if request.stands else model.body_margin_m,
-    )
+    feet = poses_to_grid(lattice.frame, request.feet_lattice)
+    problem = refinement_problem(lattice, model, feet, request.feet_um, request.pair_margin_m)
     outward = 1.0 - 2.0 * result.side[0]
     poses = np.vstack([request.feet_lattice[1 - result.side[0]], result.pose_lattice])
-    poses = _to_grid(poses, lattice.frame)
-    stance, per_step, per_turn, per_side, per_back = problem.weights
-    weights = stance, per_step, max(per_turn, _LEAST_TURN_COST_M), per_side, per_back
-    straight = problem._replace(weights=weights)
+    poses = poses_to_grid(lattice.frame, poses)
+    turn = max(problem.weights.turn, _LEAST_TURN_COST_M)
+    straight = problem._replace(weights=problem.weights._replace(turn=turn))
     before_um = plan_cost_um(straight, poses, outward)
     if before_um == NOT_ALLOWED:
         return result
-    may_swap = request.first_side is None
-    found, outward, _ = _shorten(straight, _FootPath(poses, outward, before_um), may_swap)
+    swaps = (False,) if request.first_side is not None else (False, True)
+    found, outward, _ = _shorten(straight, _FootPath(poses, outward, before_um), swaps)
     found_um = plan_cost_um(problem, found, outward)
     if not 0 <= found_um < round(result.cost_m * MICRO):
         return result
     first = 0 if outward > 0 else 1
     side = ((np.arange(len(found) - 1) + first) % 2).astype(np.int8)
-    pose_lattice = _to_lattice(found[1:], lattice.frame)
+    pose_lattice = poses_from_grid(lattice.frame, found[1:])
     # The goal feet are the same to the bit.
     goals = {int(s): p for s, p in zip(result.side[-2:], result.pose_lattice[-2:], strict=True)}
     pose_lattice[-2:] = [goals[int(s)] for s in side[-2:]]
@@ -94,28 +86,12 @@ def refine(request: Request, result: Result) -> Result:
     )
 
 
-def _to_grid(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
-    """Poses (n, 3) of the lattice frame in the grid frame."""
-    x, y, cos, sin = frame
-    in_grid = np.empty(poses.shape)  # C order: functions are compiled for that order alone
-    in_grid[:, 0] = x + cos * poses[:, 0] - sin * poses[:, 1]
-    in_grid[:, 1] = y + sin * poses[:, 0] + cos * poses[:, 1]
-    in_grid[:, 2] = poses[:, 2] + math.atan2(sin, cos)
-    return in_grid
-
-
-def _to_lattice(poses: FloatArray, frame: tuple[float, float, float, float]) -> FloatArray:
-    """Poses (n, 3) of the grid frame in the lattice frame."""
-    x, y, cos, sin = frame
-    dx, dy = poses[:, 0] - x, poses[:, 1] - y
-    yaw = wrap_angle(poses[:, 2] - math.atan2(sin, cos))
-    return np.column_stack([cos * dx + sin * dy, cos * dy - sin * dx, yaw])
-
-
 # Not compiled: it makes few calls, and would take long to compile.
-def _shorten(problem: RefinementProblem, found: _FootPath, may_swap: bool) -> _FootPath:
-    """The cheapest path found, with as many steps as the given one or fewer."""
-    swaps = (False, True) if may_swap else (False,)
+def _shorten(problem: RefinementProblem, found: _FootPath, swaps: tuple[bool, ...]) -> _FootPath:
+    """The cheapest path found, with as many steps as the given one or fewer.
+
+    swaps: whether the other foot may go first, or both.
+    """
     best = _relaxed(problem, found, len(found.poses) - 1, False, _ITERATIONS, 0)
     fewer = max(1, len(found.poses) // _PARTS)
     while fewer > 0:
@@ -177,8 +153,5 @@ def _resampled(
         path[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
         path[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
         path[i, 2] = first[2] + part * turn
-    if swap:
-        path[0] = feet[0 if outward > 0 else 1]
-    else:
-        path[0] = poses[0]
+    path[0] = feet[0 if outward > 0 else 1] if swap else poses[0]
     return path

@@ -11,25 +11,100 @@ All poses are x_m, y_m, yaw_rad in the grid frame.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import box_free, box_heights, point_clearance
+from planner.collision import NO_GROUND_UM, box_free, point_clearance
 from planner.compiled import njit_no_refcount
-from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, step_costs
-from planner.lattice.lattice import Lattice, clearance_cost, swing_clears
-from planner.lattice.steps import MICRO
-from planner.plan import wrap_angle
-from planner.robot_model import Side, StepModel
+from planner.lattice.lattice import (
+    Int64s,
+    Lattice,
+    clearance_cost,
+    feet_climb,
+    foot_at,
+    level_height_um,
+)
+from planner.lattice.steps import MICRO, allowed, step_cost_um
+from planner.plan import relative_steps, wrap_angle
+from planner.robot_model import Side, StepModel, half_box
 
 FloatArray = NDArray[np.float64]
-Int64s = NDArray[np.int64]
 
 NO_COST = 1 << 60
 START, UNREACHED = -1, -2  # instead of the point stepped from
 _SPACING_M, _SPACING_RAD = 0.025, 0.05
 _POINTS_AHEAD = 32  # to which a step may lead
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stance:
+    """Where both feet are: feet (2, 3), left and right, and which foot must step first, if any.
+
+    feet_m (2,): how high. pair_margin_m: the body's margin in the first step.
+    """
+
+    feet: FloatArray
+    feet_m: FloatArray
+    first_side: Side | None
+    pair_margin_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Footsteps:
+    """Steps in order: side (k,), pose (k, 3) and height of the ground z_m (k,)."""
+
+    side: NDArray[np.int8]
+    pose: FloatArray
+    z_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.side)
+
+    def then(self, other: Footsteps) -> Footsteps:
+        """These steps and after them others."""
+        return Footsteps(
+            side=np.concatenate([self.side, other.side]),
+            pose=np.concatenate([self.pose, other.pose]),
+            z_m=np.concatenate([self.z_m, other.z_m]),
+        )
+
+    def stance_after(self, stance: Stance, margin_m: float) -> Stance:
+        """Where the feet are after these steps from a stance; the other foot is next."""
+        if not len(self):
+            return stance
+        feet, feet_m = stance.feet.copy(), stance.feet_m.copy()
+        feet[self.side[-2:]], feet_m[self.side[-2:]] = self.pose[-2:], self.z_m[-2:]
+        last = Side(int(self.side[-1]))
+        return Stance(feet=feet, feet_m=feet_m, first_side=last.other, pair_margin_m=margin_m)
+
+
+NO_STEPS = Footsteps(side=np.zeros(0, np.int8), pose=np.zeros((0, 3)), z_m=np.zeros(0))
+
+
+def step_costs(
+    support: FloatArray, swing: FloatArray, out: Int64s | int, model: StepModel
+) -> Int64s:
+    """Costs (...) of steps from support (..., 3) to swing (..., 3); 0 where limits forbid them.
+
+    out (...): `Side.outward` of the swing foot.
+    """
+    steps = relative_steps(support, swing, out)
+    return np.where(allowed(steps, model), step_cost_um(steps, model), 0)
+
+
+def cost_of(lattice: Lattice, model: StepModel, stance: Stance, steps: Footsteps) -> int:
+    """Cost in micrometres of steps from a stance to a goal, as the searches count it.
+
+    The last step, beside the other foot at the goal, costs no clearance.
+    """
+    first = stance.feet[Side(int(steps.side[0])).other]
+    support = np.concatenate([first[None], steps.pose[:-1]])
+    total = int(step_costs(support, steps.pose, 1 - 2 * steps.side.astype(int), model).sum())
+    for x, y in (support + steps.pose)[:-1, :2] / 2:
+        total += int(clearance_cost(lattice, point_clearance(lattice.terrain, x, y)))
+    return total
 
 
 @njit_no_refcount
@@ -48,10 +123,8 @@ def check_feet(
                 lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]
             )
             if ok[i, side] and len(lattice.node_um) > 0:
-                half_l, half_w = lattice.tread
-                low, high = box_heights(lattice.terrain, x, y, cos, sin, half_l, half_w)
-                ok[i, side] = high - low <= lattice.climb_um[2]
-                height_um[i, side] = high
+                height_um[i, side] = level_height_um(lattice, (x, y, cos, sin))
+                ok[i, side] = height_um[i, side] != NO_GROUND_UM
 
 
 @njit_no_refcount
@@ -72,15 +145,10 @@ def _extra_cost(
     yaw = support[2] + 0.5 * turn
     if not box_free(lattice.terrain, x, y, math.cos(yaw), math.sin(yaw), body[0], body[1]):
         return -1
-    if len(lattice.node_um) > 0:
-        rise = heights_um[1] - heights_um[0]
-        if rise < lattice.climb_um[0] or rise > lattice.climb_um[1]:
-            return -1
-        stands = support[0], support[1], math.cos(support[2]), math.sin(support[2])
-        lands = swing[0], swing[1], math.cos(swing[2]), math.sin(swing[2])
-        highest = max(heights_um[0], heights_um[1]) + lattice.climb_um[3]
-        if not swing_clears(lattice, stands, lands, side, highest):
-            return -1
+    if len(lattice.node_um) > 0 and not feet_climb(
+        lattice, foot_at(support), foot_at(swing), heights_um[0], heights_um[1], side
+    ):
+        return -1
     return clearance_cost(lattice, point_clearance(lattice.terrain, x, y))
 
 
@@ -197,10 +265,7 @@ class PathFootsteps:
                 seeds_um[:, side] = step_costs(
                     standing, swing[: len(seeds_um)], side.outward, model
                 )
-        body = (
-            model.body.length_m / 2 + stance.pair_margin_m,
-            model.body.width_m / 2 + stance.pair_margin_m,
-        )
+        body = half_box(model.body, stance.pair_margin_m)
         standing_um = np.rint(stance.feet_m * MICRO).astype(np.int64)
         ground = self._feet, self._height_um, ok
         check_seeds(lattice, stance.feet, standing_um, *ground, body, seeds_um)

@@ -23,7 +23,7 @@ from ompl import base, geometric, util
 from planner.collision import Terrain, box_free, point_clearance
 from planner.compiled import njit_no_refcount
 from planner.lattice.steps import MICRO
-from planner.robot_model import BodyShape, FootShape, StepModel
+from planner.robot_model import StepModel, half_box
 
 FloatArray = NDArray[np.float64]
 _RANGE_M = 2.0  # longest motion that extends a tree
@@ -47,15 +47,11 @@ class Outline(NamedTuple):
 def outline_of(model: StepModel) -> Outline:
     """The outline of a step model."""
     return Outline(
-        body=_half_box(model.body, model.body_margin_m),
-        feet=_half_box(model.foot, model.foot_margin_m),
+        body=half_box(model.body, model.body_margin_m),
+        feet=half_box(model.foot, model.foot_margin_m),
         half_stance_m=model.stance_width_m / 2,
         climb_um=(round(model.limits.z_m[0] * MICRO), round(model.limits.z_m[1] * MICRO)),
     )
-
-
-def _half_box(shape: BodyShape | FootShape, margin_m: float) -> tuple[float, float]:
-    return shape.length_m / 2 + margin_m, shape.width_m / 2 + margin_m
 
 
 @njit_no_refcount
@@ -134,10 +130,11 @@ def nearest_standing(
 
 
 class Effort(NamedTuple):
-    """Limits on iterations: in all, and after the first path for a better one."""
+    """Limits on iterations, in all and past the first path, and a time.perf_counter() or None."""
 
     most: int
     more: int
+    until_s: float | None = None
 
 
 # First paths of the star planners are poor, and each of their iterations checks many motions. FMT*
@@ -170,20 +167,12 @@ class SampledPath:
     iterations: int
 
 
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """When to stop: iterations, and a time.perf_counter() or None."""
-
-    effort: Effort
-    until_s: float | None
-
-
-def find_path(name: str, query: BodyQuery, limits: Limits, seed: int) -> SampledPath:
+def find_path(name: str, query: BodyQuery, effort: Effort, seed: int) -> SampledPath:
     """The path that the planner of that name finds, shortened."""
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed + 1)  # 0 is no seed
     task = _OmplProblem(query)
-    stop = _Termination(limits)
+    stop = _Termination(effort)
     if name == "prmstar":
         corners = _roadmap(task, stop)
     elif name == "fmt":
@@ -200,10 +189,10 @@ def find_path(name: str, query: BodyQuery, limits: Limits, seed: int) -> Sampled
 class _Termination:
     """Counts iterations and says when to stop; OMPL calls it once an iteration."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, effort: Effort) -> None:
+        self.effort = effort
         self.iterations = 0
         self.is_solved: Callable[[], bool] = lambda: False
-        self._limits = limits
         self._first: int | None = None
 
     def __call__(self) -> bool:
@@ -211,24 +200,14 @@ class _Termination:
         self.iterations += 1
         if self._first is None and self.is_solved():
             self._first = self.iterations
-        most, more = self._limits.effort
-        if self._first is not None and self.iterations - self._first >= more:
+        if self._first is not None and self.iterations - self._first >= self.effort.more:
             return True
-        return self.iterations >= most or self.is_late()
+        return self.iterations >= self.effort.most or self.is_late()
 
     def is_late(self) -> bool:
         """Whether the time limit is reached."""
-        until_s = self._limits.until_s
+        until_s = self.effort.until_s
         return until_s is not None and time.perf_counter() >= until_s
-
-    def condition(self) -> Any:
-        """The same as an object of OMPL."""
-        return base.PlannerTerminationCondition(self)
-
-    @property
-    def effort(self) -> Effort:
-        """The limits on iterations."""
-        return self._limits.effort
 
 
 class _Motions(base.MotionValidator):  # type: ignore[misc]
@@ -296,7 +275,7 @@ def _tree(name: str, task: _OmplProblem, stop: _Termination) -> FloatArray | Non
     planner.setup()
     if hasattr(planner, "bestCost"):
         stop.is_solved = lambda: math.isfinite(planner.bestCost().value())
-    planner.solve(stop.condition())
+    planner.solve(base.PlannerTerminationCondition(stop))
     stop.is_solved = lambda: False
     return _solution(problem)
 
@@ -338,14 +317,13 @@ def _roadmap(task: _OmplProblem, stop: _Termination) -> FloatArray | None:
     planner.setup()
     # Stops at once, but takes up start and goal.
     planner.solve(base.plannerAlwaysTerminatingCondition())
-    size = stop.effort.more
+    until = stop.effort.more
     while True:
-        until = min(size, stop.effort.most)
         planner.growRoadmapPtc(_until(stop, until))
         corners = _shortest(task, planner)
         if corners is not None or stop.iterations >= stop.effort.most or stop.is_late():
             return corners
-        size *= 2
+        until *= 2
 
 
 def _until(stop: _Termination, iterations: int) -> Any:

@@ -1,14 +1,7 @@
 """Plans by sampling: OMPL finds a path of the body, footsteps follow it, ARA* bridges gaps.
 
-1. A path of the body in SE(2) by the planner of the chosen name. If that fails at first, the body's
-   path search of the lattice checks whether there is any way.
-2. Headings along that path are chosen anew where there is room, and footsteps follow it. Where they
-   cannot, ARA* searches in a window around the gap.
-3. Unless the first plan is good enough, ARA* searches in a corridor along the path; the cheaper
-   plan is taken.
-
 There is no lower bound, so epsilon is infinite. Poses (n, 3) are x_m, y_m, yaw_rad in the grid
-frame.
+frame. The steps are told in docs/notes/planner_design.md.
 """
 
 from __future__ import annotations
@@ -25,18 +18,22 @@ from numpy.typing import NDArray
 from maps.grid import OccupancyGrid, distance_field
 from planner.collision import Terrain
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.footsteps import NO_STEPS, Footsteps, Stance, cost_of
 from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import MICRO
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, from_frame, to_frame
 from planner.robot_model import StepModel
-from planner.sampling.footsteps_along_path import PathFootsteps, resample
+from planner.sampling.footsteps_along_path import (
+    NO_STEPS,
+    Footsteps,
+    PathFootsteps,
+    Stance,
+    cost_of,
+    resample,
+)
 from planner.sampling.ompl_paths import (
     EFFORTS,
     BodyQuery,
-    Effort,
-    Limits,
     SampledPath,
     find_path,
     nearest_standing,
@@ -53,7 +50,7 @@ from planner.search.problem import (
     no_body_path,
     no_first_step,
 )
-from planner.search.reachability import expand_both, new_flood, why_enclosed
+from planner.search.reachability import Floods
 
 FloatArray = NDArray[np.float64]
 _GAP_EXPANSIONS = 20_000
@@ -142,7 +139,7 @@ def search_window(
 
 @dataclass(frozen=True, kw_only=True)
 class GridRequest:
-    """A request in the grid frame. goal (3,): the pair pose.
+    """A request in the grid frame: stance, and goal (3,), the pair pose.
 
     began: time.perf_counter() from which the options' time limit counts.
     """
@@ -172,7 +169,7 @@ def in_grid_frame(request: Request, options: PlannerOptions, began: float) -> Gr
         feet=from_frame(request.feet_lattice, goal),
         feet_m=request.feet_m,
         first_side=request.first_side,
-        pair_margin_m=0.0 if request.stands else request.model.body_margin_m,
+        pair_margin_m=request.pair_margin_m,
     )
     return GridRequest(request=request, options=options, began=began, stance=stance, goal=goal)
 
@@ -234,37 +231,20 @@ def search_corridor(query: GridRequest, path: FloatArray) -> tuple[Footsteps | N
     return steps, expansions
 
 
-def why_cut_off(request: Request) -> str:
-    """Why no path of the body leads to the goal; empty if one may."""
-    nodes, _ = request.first_nodes()
-    if not len(nodes):
-        return no_first_step(request).reason
-    return no_body_path().reason if is_cut_off(request, nodes) else ""
-
-
-def proof_enclosed(request: Request) -> str:
-    """Why the goal cannot be reached, if floods of the lattice prove it; else empty."""
-    lattice = request.lattice
-    flood = new_flood(lattice, request.first_nodes()[0], request.context.ends)
-    flood, verdict = expand_both(lattice, flood, _FLOOD_NODES)
-    return why_enclosed(verdict, flood) if verdict.is_enclosed else ""
-
-
 def plan_by_sampling(request: Request, options: PlannerOptions, began: float) -> Result:
     """The search of all `SAMPLING_PLANNERS`; began: time.perf_counter() of the request."""
     query = in_grid_frame(request, options, began)
     sampled = _find_path(query, _FIRST_ITERATIONS)
     if not len(sampled.corners):
-        shut = why_cut_off(request)
-        if shut:
-            return failure(PlanStatus.NO_PATH, shut, sampled.iterations)
+        if not request.has_first_step:
+            return replace(no_first_step(request), expansions=sampled.iterations)
+        if is_cut_off(request):
+            return replace(no_body_path(), expansions=sampled.iterations)
         sampled = _find_path(query, options.max_expansions)
     if not len(sampled.corners):
         return _no_plan(query, sampled)
-    lattice = request.lattice
-    path = resample(
-        choose_headings(lattice.terrain, outline_of(request.model), request.model, sampled.corners)
-    )
+    terrain, outline = request.lattice.terrain, outline_of(request.model)
+    path = resample(choose_headings(terrain, outline, request.model, sampled.corners))
     steps, searched, first_s = follow_path(query, path), 0, math.inf
     if steps is not None:
         first_s = time.perf_counter() - began
@@ -275,7 +255,15 @@ def plan_by_sampling(request: Request, options: PlannerOptions, began: float) ->
             steps = found
     if steps is None:
         return _no_plan(query, sampled)
-    return _found(query, steps, sampled.iterations + searched, first_s)
+    return Result(
+        status=PlanStatus.FOUND,
+        side=steps.side,
+        pose_lattice=to_frame(steps.pose, query.goal),
+        z_m=steps.z_m,
+        cost_m=query.cost_um(steps) / MICRO,
+        expansions=sampled.iterations + searched,
+        time_to_first_s=first_s,
+    )
 
 
 def _find_path(query: GridRequest, most: int) -> SampledPath:
@@ -290,31 +278,21 @@ def _find_path(query: GridRequest, most: int) -> SampledPath:
         return SampledPath(corners=np.zeros((0, 3)), iterations=0)
     effort = EFFORTS[options.name]
     limit_s = options.time_limit_s
-    limits = Limits(
-        effort=Effort(min(effort.most, options.max_expansions, most), effort.more),
+    effort = effort._replace(
+        most=min(effort.most, options.max_expansions, most),
         until_s=None if limit_s is None else query.began + limit_s,
     )
     body = BodyQuery(terrain=terrain, outline=outline, start=start, goal=query.goal)
-    return find_path(options.name, body, limits, options.seed)
-
-
-def _found(query: GridRequest, steps: Footsteps, expansions: int, first_s: float) -> Result:
-    return Result(
-        status=PlanStatus.FOUND,
-        side=steps.side,
-        pose_lattice=to_frame(steps.pose, query.goal),
-        z_m=steps.z_m,
-        cost_m=query.cost_um(steps) / MICRO,
-        expansions=expansions,
-        time_to_first_s=first_s,
-    )
+    return find_path(options.name, body, effort, options.seed)
 
 
 def _no_plan(query: GridRequest, sampled: SampledPath) -> Result:
     """NO_PATH if that is proven, else TIMED_OUT."""
-    proof = proof_enclosed(query.request)
-    if proof:
-        return failure(PlanStatus.NO_PATH, proof, sampled.iterations)
+    request = query.request
+    floods = Floods(request.lattice, request.first_steps[0], request.context.ends)
+    floods.expand(_FLOOD_NODES)
+    if floods.reason:
+        return failure(PlanStatus.NO_PATH, floods.reason, sampled.iterations)
     name = query.options.name
     limit = f"{sampled.iterations} iterations"
     if query.is_late:

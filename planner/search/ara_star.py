@@ -23,7 +23,6 @@ from planner.search.best_first import (
     BEST_NODE,
     BEST_UM,
     EXHAUSTED,
-    EXPANSIONS,
     FINISHED,
     IMPROVED,
     NO_COST,
@@ -38,16 +37,16 @@ from planner.search.problem import (
     Result,
     SearchTask,
     backward_task,
+    best_nodes,
     failure,
     forward_task,
     no_body_path,
     no_first_step,
     result_of,
-    trace,
     with_longer_queue,
 )
-from planner.search.reachability import Flood, Verdict, expand_both, new_flood, why_enclosed
-from planner.search.search_record import Recorder
+from planner.search.reachability import Floods, Verdict
+from planner.search.search_record import Moment, search_record
 
 _FIRST = -1  # in place of a node: the best plan is the one that was found before this search
 _CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock
@@ -73,14 +72,13 @@ class AraStar:
         self.open_bound_um = 0  # no open state's cost + heuristic is less
         self.proven = math.inf
         self.first_expansions = 0
-        self.verdict = Verdict.OPEN
         self.task: SearchTask
         self.tree: Tree
         self._first: FirstPlan | None = None
         self._spent = 0  # expansions before this search
-        self._flood: Flood | None = None
+        self._floods: Floods | None = None
         self._flood_turn = FLOOD_TURN
-        self._recorder = Recorder(began) if options.record else None
+        self._moments: list[Moment] = []
 
     def start_with(self, first: FirstPlan) -> None:
         """Takes over a plan that was found before this search."""
@@ -95,7 +93,7 @@ class AraStar:
         self._spent, self.lower_bound_um = expansions, lower_bound_um
         if cost_um < NO_COST:
             self.time_to_first_s = time.perf_counter() - self.began
-            self.proven = _ratio(cost_um, lower_bound_um)
+            self.proven = proven_ratio(cost_um, lower_bound_um)
             self._record_moment(cost_um)
 
     def first_result(self) -> Result:
@@ -161,7 +159,7 @@ class AraStar:
         self.lower_bound_um = int(start_iteration(task.lattice, task.heuristic, self.tree, epsilon))
         self.open_bound_um = max(self.open_bound_um, self.lower_bound_um)
         if self._best_um < NO_COST:
-            self.proven = min(self.proven, _ratio(self._best_um, self.lower_bound_um))
+            self.proven = min(self.proven, proven_ratio(self._best_um, self.lower_bound_um))
 
     def _tighten_bound(self) -> None:
         """Takes the bound of the open states after an iteration that was cut short."""
@@ -172,15 +170,16 @@ class AraStar:
         """Whether the floods, if it is their turn, prove that no steps lead to the goal."""
         if self._may_be_enclosed() and self._expansions >= FLOOD_AFTER:
             task = self.task
-            if self._flood is None:
+            if self._floods is None:
                 ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
-                self._flood = new_flood(task.lattice, *ends)
-            self._flood, self.verdict = expand_both(task.lattice, self._flood, self._flood_turn)
+                self._floods = Floods(task.lattice, *ends)
+            self._floods.expand(self._flood_turn)
             self._flood_turn = min(2 * self._flood_turn, FLOOD_TURN_MOST)
-        return self._flood is not None and self.verdict.is_enclosed
+        return self._floods is not None and bool(self._floods.reason)
 
     def _may_be_enclosed(self) -> bool:
-        return self.verdict is Verdict.OPEN and self._best_um == NO_COST
+        is_open = self._floods is None or self._floods.verdict is Verdict.OPEN
+        return is_open and self._best_um == NO_COST
 
     def _budget(self) -> int:
         """Expansions until one of the limits is to be checked again."""
@@ -208,18 +207,16 @@ class AraStar:
 
     @property
     def _best_um(self) -> int:
-        return int(self.tree.scalars[BEST_UM])
+        return self.tree.best_um
 
     @property
     def _expansions(self) -> int:
-        return self._spent + int(self.tree.scalars[EXPANSIONS])
+        return self._spent + self.tree.expansions
 
     def _best_nodes(self) -> Int64s:
-        last = int(self.tree.scalars[BEST_NODE])
-        if last == _FIRST:
-            assert self._first is not None
+        if self._first is not None and self.tree.scalars[BEST_NODE] == _FIRST:
             return self._first.nodes
-        return self.task.in_order(trace(self.tree, last))
+        return best_nodes(self.tree)
 
     def _best_plan(self) -> Result:
         self._tighten_bound()
@@ -230,9 +227,8 @@ class AraStar:
 
     def _no_plan(self) -> Result:
         expansions = self._expansions
-        if self._flood is not None and self.verdict.is_enclosed:
-            reason = why_enclosed(self.verdict, self._flood)
-            return failure(PlanStatus.NO_PATH, reason, expansions)
+        if self._floods is not None and self._floods.reason:
+            return failure(PlanStatus.NO_PATH, self._floods.reason, expansions)
         if self._limit_reached():
             self._tighten_bound()
             reason = (
@@ -257,16 +253,19 @@ class AraStar:
         )
 
     def _record_moment(self, best_um: int) -> None:
-        if self._recorder is not None:
-            self._recorder.note(best_um, self.lower_bound_um)
+        if self.options.record:
+            cost_m = best_um / MICRO if best_um < NO_COST else math.inf
+            elapsed_s = time.perf_counter() - self.began
+            self._moments.append((elapsed_s, cost_m, self.lower_bound_um / MICRO))
 
     def _recorded(self, result: Result) -> Result:
-        if self._recorder is None:
+        if not self.options.record:
             return result
-        return replace(result, record=self._recorder.record(self.task.lattice, self.tree))
+        record = search_record(self._moments, self.task.lattice, self.tree)
+        return replace(result, record=record)
 
 
-def _ratio(cost_um: int, lower_bound_um: int) -> float:
+def proven_ratio(cost_um: int, lower_bound_um: int) -> float:
     """The proven bound on cost / optimum."""
     return cost_um / min(cost_um, max(lower_bound_um, 1))
 
@@ -281,27 +280,26 @@ def plan_ara(request: Request, options: PlannerOptions, began: float) -> Result:
 
     began: time.perf_counter() of the request's arrival, from which times count.
     """
-    nodes, costs_um = request.first_nodes()
-    if not len(nodes):
+    if not request.has_first_step:
         return no_first_step(request)
     search = AraStar(request, options, began)
-    first = _plan_on_coarse_lattice(request, nodes, costs_um, options, began)
+    first = _plan_on_coarse_lattice(request, options, began)
     if first is not None:
         search.options = replace(options, epsilon=1.0)  # only the proof is missing
     else:
-        first = find_first_plan(request, nodes, costs_um, options)
-    return improved(search, first, nodes, costs_um)
+        first = find_first_plan(request, options)
+    return improved(search, first)
 
 
-def improved(search: AraStar, first: FirstPlan | None, nodes: Int64s, costs_um: Int64s) -> Result:
-    """A first plan, if it is good enough, or what the search from first steps (n,) makes of it."""
+def improved(search: AraStar, first: FirstPlan | None) -> Result:
+    """A first plan, if it is good enough, or what the search makes of it."""
     if first is CUT_OFF:
         return no_body_path()
     if first is not None:
         search.start_with(first)
         if search.options.stop_at_first or search.proven <= search.options.final_epsilon:
             return search.first_result()
-    return search.run(forward_task(search.request, nodes, costs_um))
+    return search.run(forward_task(search.request))
 
 
 def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
@@ -319,14 +317,13 @@ def _plan_without_first(
     request: Request,
     options: PlannerOptions,
     began: float,
-    task_of: Callable[[Request, Int64s, Int64s], SearchTask],
+    task_of: Callable[[Request], SearchTask],
 ) -> Result:
-    nodes, costs_um = request.first_nodes()
-    if not len(nodes):
+    if not request.has_first_step:
         return no_first_step(request)
-    if is_cut_off(request, nodes):
+    if is_cut_off(request):
         return no_body_path()
-    return AraStar(request, options, began).run(task_of(request, nodes, costs_um))
+    return AraStar(request, options, began).run(task_of(request))
 
 
 def coarse_model(model: StepModel) -> StepModel | None:
@@ -360,19 +357,15 @@ def nodes_on_fine(coarse: Lattice, fine: Lattice, nodes: Int64s) -> Int64s:
 
 
 def _plan_on_coarse_lattice(
-    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions, began: float
+    request: Request, options: PlannerOptions, began: float
 ) -> FirstPlan | None:
-    """A plan improved on the coarse lattice; None without one, or without such a lattice.
-
-    nodes (n,), costs_um (n,): first steps on the fine lattice.
-    """
+    """A plan improved on the coarse lattice; None without one, or without such a lattice."""
     if request.context.coarse is None:
         return None
     coarse = replace(request, context=request.context.coarse)
-    starts, starts_um = coarse.first_nodes()
-    if not len(starts):
+    if not coarse.has_first_step:
         return None
-    first = find_first_plan(coarse, starts, starts_um, options)
+    first = find_first_plan(coarse, options)
     if first is CUT_OFF or (first is None and options.stop_at_first):
         return None
     if not options.stop_at_first:
@@ -380,12 +373,12 @@ def _plan_on_coarse_lattice(
         search = AraStar(coarse, limited, began)
         if first is not None:
             search.start_with(first)
-        search.run(forward_task(coarse, starts, starts_um))
+        search.run(forward_task(coarse))
         first = search.best()
     if first is None:
         return None
     return replace(
         first,
         nodes=nodes_on_fine(coarse.lattice, request.lattice, first.nodes),
-        lower_bound_um=min(first.cost_um, request.lower_bound(nodes, costs_um)),
+        lower_bound_um=min(first.cost_um, request.quick_bound()),
     )

@@ -150,6 +150,16 @@ class Tree(NamedTuple):
     scalars: NDArray[np.int64]
     bins: StateBins
 
+    @property
+    def best_um(self) -> int:
+        """Cost of the best plan, NO_COST without one."""
+        return int(self.scalars[BEST_UM])
+
+    @property
+    def expansions(self) -> int:
+        """States expanded so far."""
+        return int(self.scalars[EXPANSIONS])
+
 
 @njit_no_refcount
 def insert(tree: Tree, node: int, key_um: int) -> None:
@@ -350,7 +360,7 @@ def _expand_node(
     turn_cos, turn_sin = lattice.cos, lattice.sin
     path_um, frontier_um = heuristic.cost_um, heuristic.frontier_um
     body_cell, potential_um = heuristic.body_cell, heuristic.potential_um
-    endgame_um = heuristic.endgame_um
+    goal_table_um = heuristic.goal_table_um
     detour_um, turn_um, rim = heuristic.detour_um, heuristic.turn_um, heuristic.rim
     circle = heuristic.radius_cells, lattice.cols, lattice.origin_col, lattice.origin_row
     radii_m = radius_of(lattice.foot), radius_of(lattice.body)
@@ -363,7 +373,7 @@ def _expand_node(
     across = cell - up * lattice.cols
     half_base = up * 4 * lattice.cols + across * 2
     across, up = across - lattice.origin_col, up - lattice.origin_row
-    reach = len(endgame_um) // 2
+    reach = len(goal_table_um) // 2
     uneven = len(lattice.node_um) > 0
     improved, limit_um = False, _limit_um(scalars)
     for k in range(steps.shape[1]):
@@ -400,7 +410,7 @@ def _expand_node(
             path = frontier_um
         value = path + potential_um[to_row]
         if abs(across + d_col) <= reach and abs(up + d_row) <= reach:
-            exact = endgame_um[up + d_row + reach, across + d_col + reach, to_row]
+            exact = goal_table_um[up + d_row + reach, across + d_col + reach, to_row]
             value = max(value, exact)
         else:
             value = max(value, heuristic.cap_um)

@@ -1,10 +1,7 @@
 """A first plan soon: an inflated search in a strip around the path of the body.
 
-The path comes from A* over the body's cells, from the goal toward the start, among cells where the
-body has room to walk ahead; if there is none, among all cells that the lower bound counts as open,
-which are more than any body fits into. The search for steps keeps to the strip around the path,
-inflates its path costs, and expands few states of each bin (`best_first.StateBins`). Where it finds
-nothing the full search follows, so no plan is missed.
+docs/notes/planner_design.md tells the steps. Where they find nothing the full search follows, so no
+plan is missed.
 """
 
 from __future__ import annotations
@@ -21,15 +18,11 @@ from planner.heuristics.distance_field import (
     path_toward,
     raise_by_arrival,
 )
-from planner.heuristics.heuristic import Heuristic
-from planner.heuristics.turning import no_detours
+from planner.heuristics.heuristic import full_heuristic
 from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
 from planner.search.best_first import (
-    BEST_NODE,
-    BEST_UM,
-    EXPANSIONS,
     NO_BINS,
     NO_COST,
     expand,
@@ -37,7 +30,7 @@ from planner.search.best_first import (
     start_iteration,
 )
 from planner.search.passages import is_shut
-from planner.search.problem import Request, SearchTask, trace
+from planner.search.problem import Request, SearchTask, best_nodes
 
 # Weights on the heuristic, most expansions with each, and whether states are binned.
 _TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)
@@ -56,10 +49,8 @@ class FirstPlan:
 CUT_OFF = FirstPlan(nodes=np.zeros(0, np.int64), cost_um=0, lower_bound_um=0, expansions=0)
 
 
-def find_first_plan(
-    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
-) -> FirstPlan | None:
-    """A plan from first steps (n,) with their costs to the goal's own pose, or None.
+def find_first_plan(request: Request, options: PlannerOptions) -> FirstPlan | None:
+    """A plan from the first steps to the goal's own pose, or None.
 
     Its bound holds for plans to all of the goal region. CUT_OFF where the goal's own pose is the
     only end and no path of the body leads there, or no steps through its narrow passages. If more
@@ -68,33 +59,30 @@ def find_first_plan(
     """
     context = request.context
     if context.region.is_point:
-        return _plan_to_point(request, nodes, costs_um, options)
-    if not options.stop_at_first or not np.all(np.isin(context.goal_nodes, context.ends)):
+        return _plan_to_point(request, options)
+    if not options.stop_at_first or not np.all(np.isin(context.lattice.goal_nodes, context.ends)):
         return None
-    first = _plan_to_point(request, nodes, costs_um, options)
+    first = _plan_to_point(request, options)
     if first is None or first is CUT_OFF:
         return None
-    bound_um = request.heuristic_bound(nodes, costs_um)
-    return replace(first, lower_bound_um=min(bound_um, first.cost_um))
+    return replace(first, lower_bound_um=min(request.heuristic_bound(), first.cost_um))
 
 
-def is_cut_off(request: Request, nodes: Int64s) -> bool:
-    """Whether no path of the body leads from first steps (n,) to the goal's own pose.
+def is_cut_off(request: Request) -> bool:
+    """Whether no path of the body leads from the first steps to the goal's own pose.
 
     False for every goal that is a region.
     """
     if not request.context.region.is_point:
         return False
-    cells = np.unique(request.context.body_cells(nodes))
+    cells = np.unique(request.context.body_cells(request.first_steps[0]))
     path = path_toward(request.lattice, request.context.tables.potential, cells, margin_moves=0)
-    return not path.reaches_any(cells) or is_shut(request, nodes)
+    return not path.reaches_any(cells) or is_shut(request)
 
 
-def _plan_to_point(
-    request: Request, nodes: Int64s, costs_um: Int64s, options: PlannerOptions
-) -> FirstPlan | None:
+def _plan_to_point(request: Request, options: PlannerOptions) -> FirstPlan | None:
     lattice, context = request.lattice, request.context
-    potential = context.tables.potential
+    potential, (nodes, costs_um) = context.tables.potential, request.first_steps
     bodies = context.body_cells(nodes)
     cells = np.unique(bodies)
     # With room to walk ahead steps can follow it nearly always.
@@ -103,8 +91,8 @@ def _plan_to_point(
     is_wide = wide.reaches_any(cells)
     if not is_wide and wide.is_large and not leads_to_goal(lattice, potential, cells):
         return CUT_OFF
-    values_um = costs_um + context.potential_um[nodes % (2 * lattice.headings)]
-    bound_um = request.straight_bound(nodes, costs_um)
+    values_um = costs_um + context.potentials_um(nodes)
+    bound_um = request.straight_bound()
     # No path is shorter than the straight line, so a wide one as short gives the same bound.
     if not is_wide or bound_um < (values_um + wide.least_um(bodies)).min():
         # Beside a wide path this one gives only the bound, which takes no margin.
@@ -114,27 +102,28 @@ def _plan_to_point(
         bound_um = int((values_um + path.least_um(bodies)).min())
     first = replace(CUT_OFF, lower_bound_um=bound_um)
     if is_wide:
-        first = _plan_along(request, wide, nodes, costs_um, options, _TRIES[:2], first)
+        first = _plan_along(request, wide, options, _TRIES[:2], first)
         if len(first.nodes):
             return first
         path = path_toward(lattice, potential, cells)
-    first = _plan_along(request, path, nodes, costs_um, options, _TRIES, first)
+    first = _plan_along(request, path, options, _TRIES, first)
     if len(first.nodes):
         return first
-    return CUT_OFF if is_shut(request, nodes) else None
+    return CUT_OFF if is_shut(request) else None
 
 
 def _plan_along(
     request: Request,
     strip: Strip,
-    nodes: Int64s,
-    costs_um: Int64s,
     options: PlannerOptions,
     tries: Sequence[tuple[float, int, bool]],
     so_far: FirstPlan,
 ) -> FirstPlan:
-    """A plan along a strip, with the expansions so far; without nodes if none is found."""
-    task, expansions = _task_in(request, strip, nodes, costs_um), so_far.expansions
+    """A plan along a strip, with the expansions so far; without nodes if none is found.
+
+    Changes the strip's costs.
+    """
+    task, expansions = _task_in(request, strip), so_far.expansions
     for epsilon, budget, is_binned in tries:
         bins = new_bins(task.lattice, budget) if is_binned else NO_BINS
         tree = task.tree()._replace(bins=bins)
@@ -142,52 +131,35 @@ def _plan_along(
         start_iteration(task.lattice, task.heuristic, tree, weight)
         budget = min(budget, options.max_expansions - expansions)
         expand(task.lattice, task.heuristic, tree, weight, budget)
-        expansions += int(tree.scalars[EXPANSIONS])
-        if tree.scalars[BEST_UM] < NO_COST:
-            return replace(
-                so_far,
-                nodes=task.in_order(trace(tree, int(tree.scalars[BEST_NODE]))),
-                cost_um=int(tree.scalars[BEST_UM]),
-                expansions=expansions,
-            )
+        expansions += tree.expansions
+        if tree.best_um < NO_COST:
+            found = replace(so_far, nodes=best_nodes(tree), cost_um=tree.best_um)
+            return replace(found, expansions=expansions)
     return replace(so_far, expansions=expansions)
 
 
-def _task_in(request: Request, strip: Strip, nodes: Int64s, costs_um: Int64s) -> SearchTask:
-    """The search in a strip from the first steps (n,); changes the strip's costs."""
-    context, tables = request.context, request.context.tables
-    start = int(context.body_cells(nodes)[np.argmin(costs_um)])
-    arrive_um = _add_arrival(request, strip, start)
-    return SearchTask(
-        lattice=request.lattice,
-        heuristic=Heuristic(
-            strip.cost_um,
-            strip.settled_um + arrive_um,  # off the strip it is as far as from the start
-            context.body_cell,
-            context.potential_um,
-            tables.goal_table.cost_um,
-            tables.goal_table.cap_um,
-            tables.facing.depart_um,
-            no_detours(request.lattice.cols, request.lattice.rows),
-            tables.exits.ring,
-            tables.exits.radius_cells,
-        ),
-        steps=request.lattice.steps,
-        is_backward=False,
-        roots=nodes,
-        root_um=costs_um,
-        goals=context.goal_nodes,
-        goal_um=np.full(2, final_cost_um(request.model)),
-    )
-
-
-def _add_arrival(request: Request, strip: Strip, start: int) -> int:
-    """Adds the cost of arriving at the goal to path costs; what that is far from the goal.
+def _task_in(request: Request, strip: Strip) -> SearchTask:
+    """The search in a strip, whose path costs get the cost of arriving at the goal added.
 
     The exact table near the goal counts every turn, the path costs outside count none. An inflated
     search would expand everything outside before crossing the border between the two.
     """
     lattice, tables = request.lattice, request.context.tables
+    nodes, costs_um = request.first_steps
+    start = int(request.context.body_cells(nodes)[np.argmin(costs_um)])
     goal = strip.ahead._replace(col=lattice.origin_col, row=lattice.origin_row, slack_um=0)
-    table = tables.goal_table.inside, tables.facing.arrive_um, tables.facing.exact_um
-    return raise_by_arrival(lattice, strip.cost_um, start, goal, *table)
+    table = tables.goal_table.inside, tables.turns.arrive_um, tables.turns.exact_um
+    arrive_um = raise_by_arrival(lattice, strip.cost_um, start, goal, *table)
+    return SearchTask(
+        lattice=lattice,
+        heuristic=full_heuristic(lattice, tables, strip.cost_um)._replace(
+            frontier_um=strip.settled_um + arrive_um,  # off the strip it is as far as the start
+            turn_um=tables.turns.depart_um,
+            rim=tables.exits.ring,
+        ),
+        is_backward=False,
+        roots=nodes,
+        root_um=costs_um,
+        goals=lattice.goal_nodes,
+        goal_um=np.full(2, final_cost_um(request.model)),
+    )

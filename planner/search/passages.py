@@ -20,18 +20,16 @@ from planner.collision import Terrain
 from planner.compiled import njit_no_refcount, zeros
 from planner.lattice.lattice import (
     COST_UM,
-    D_COL,
     D_HALF,
     D_NODE,
-    D_ROW,
     HALF_HEADING,
-    TO_ROW,
     Floats,
     Int64s,
     Lattice,
     node_free,
     pair_known_free,
 )
+from planner.lattice.steps import moved_cells
 from planner.plan import NarrowPlace
 from planner.robot_model import StepModel
 from planner.search.problem import Request
@@ -112,8 +110,8 @@ def needed_m(model: StepModel) -> float:
     return model.body.width_m + 2 * model.body_margin_m
 
 
-def is_shut(request: Request, nodes: Int64s) -> bool:
-    """Whether narrow passages shut the goal's own pose off from first steps (n,); True is proven.
+def is_shut(request: Request) -> bool:
+    """Whether narrow passages shut the goal's own pose off from the first steps; True is proven.
 
     Only floors that are flat are looked at.
     """
@@ -123,7 +121,7 @@ def is_shut(request: Request, nodes: Int64s) -> bool:
         return False
     if _longest_move_m(request) > _AROUND_M - _BEFORE_M:
         return False  # a step might skip the poses that the flood begins with
-    bodies = np.unique(request.context.body_cells(nodes))
+    bodies = np.unique(request.context.body_cells(request.first_steps[0]))
     points_m = _to_grid(lattice, bodies)
     size_m, clearance_m = terrain.resolution_m, terrain.clearance_m.copy()
     starts, (goal,) = _cells_at(terrain, points_m), _cells_at(terrain, _origin_m(lattice)[None])
@@ -152,14 +150,9 @@ def is_shut(request: Request, nodes: Int64s) -> bool:
 
 def _longest_move_m(request: Request) -> float:
     """How far a step moves the cell of the body at most."""
-    lattice, potential = request.lattice, request.context.tables.potential
-    row, number = np.nonzero(lattice.steps[..., COST_UM])
-    step = lattice.steps[row, number]
-    moves = [
-        step[:, column] + offset.reshape(-1)[step[:, TO_ROW]] - offset.reshape(-1)[row]
-        for column, offset in ((D_COL, potential.body_col), (D_ROW, potential.body_row))
-    ]
-    return float(np.hypot(*moves).max()) * lattice.cell_m
+    table, potential = request.context.tables.steps, request.context.tables.potential
+    moves = moved_cells(table, potential.body_cell)[table.cost_um > 0]
+    return float(np.hypot(*moves.T).max()) * request.lattice.cell_m
 
 
 def _is_way(
@@ -269,7 +262,7 @@ def _leads_through(request: Request, passage: Passage, before: Cells, behind: Ce
 
     Every pose before the place is taken for one that can be reached.
     """
-    lattice, context = request.lattice, request.context
+    lattice = request.lattice
     zone, first = _zones(request, passage, before, behind)
     if zone is None:
         return True
@@ -277,14 +270,13 @@ def _leads_through(request: Request, passage: Passage, before: Cells, behind: Ce
     side = len(zone)
     begin = np.flatnonzero(zone.reshape(-1) == _START)
     body = (begin // side + first[1]) * lattice.cols + begin % side + first[0]
-    cell = body[:, None] - context.body_cell
+    body_cell = request.context.tables.potential.cell_offsets(lattice.cols)
+    cell = body[:, None] - body_cell
     nodes = (cell * rows + np.arange(rows)).reshape(-1)
     stack = np.empty(len(nodes) + (zone > 0).sum() * rows, np.int32)
     stack[: len(nodes)] = nodes
     seen = zeros(lattice.nodes, np.uint8)
-    return bool(
-        _flood(lattice, context.body_cell, zone, first[0], first[1], stack, len(nodes), seen)
-    )
+    return bool(_flood(lattice, body_cell, zone, first[0], first[1], stack, len(nodes), seen))
 
 
 def _zones(

@@ -13,30 +13,31 @@ from numpy.typing import NDArray
 from planner.collision import Terrain
 from planner.compiled import njit_arrays, slot_of, slots_of, with_room, zeros
 from planner.heuristics.distance_field import (
-    BodyPath,
-    draw_path,
+    lazy_path_costs,
     least_in_cells,
-    search_body_path,
-    spread_from,
+    path_costs,
+    path_costs_to_goal,
 )
 from planner.heuristics.heuristic import (
     Heuristic,
     Tables,
     estimates,
+    full_heuristic,
+    heuristic_by_path,
     heuristic_toward_region,
-    of_path,
     simpler_heuristic,
 )
-from planner.heuristics.turning import no_detours, straight_cost
+from planner.heuristics.turning import straight_cost
 from planner.lattice.first_steps import first_steps
 from planner.lattice.goal_region import POINT, GoalRegion, beside, ends_in, height_beside
-from planner.lattice.lattice import Int64s, Lattice, node_poses, turned_round
+from planner.lattice.lattice import Int64s, Lattice, node_poses, reversed_steps
 from planner.lattice.map_change import change_between, over
 from planner.lattice.steps import MICRO, final_cost_um
 from planner.options import FULL
 from planner.plan import PlanStatus
 from planner.robot_model import Side, StepModel
 from planner.search.best_first import (
+    BEST_NODE,
     BEST_UM,
     BUCKETS,
     NO_BINS,
@@ -72,29 +73,13 @@ class GoalContext:
     @cached_property
     def heuristic(self) -> Heuristic:
         """The heuristic toward the goal, good for any start."""
-        toward = self.lattice, self.model, self.tables, self.body_cell, self.ends
+        lattice, tables = self.lattice, self.tables
         if self.heuristic_name != FULL and len(self.ends):
-            return simpler_heuristic(self.heuristic_name, *toward)
+            return simpler_heuristic(self.heuristic_name, lattice, self.model, tables, self.ends)
         if not self.region.is_point and len(self.ends):
-            return heuristic_toward_region(*toward, self.region)
-        path = search_body_path(self.lattice, self.tables.potential, self.tables.goal_table)
-        return self.heuristic_by(path)
-
-    def heuristic_by(self, path: BodyPath) -> Heuristic:
-        """The heuristic toward the goal's own pose with these path costs of the body."""
-        goal_table, exits = self.tables.goal_table, self.tables.exits
-        return Heuristic(
-            path.cost_um,
-            path.frontier_um,
-            self.body_cell,
-            self.potential_um,
-            goal_table.cost_um,
-            goal_table.cap_um,
-            exits.turn_um,
-            no_detours(self.lattice.cols, self.lattice.rows),
-            exits.rim,
-            exits.radius_cells,
-        )
+            return heuristic_toward_region(lattice, self.model, tables, self.ends, self.region)
+        cost_um = path_costs_to_goal(lattice, tables.potential, tables.goal_table)
+        return full_heuristic(lattice, tables, cost_um)
 
     def over(self, terrain: Terrain) -> GoalContext:
         """The context over a changed terrain of the same size; takes over this one's arrays."""
@@ -107,27 +92,14 @@ class GoalContext:
         coarse = None if self.coarse is None else self.coarse.over(terrain)
         return replace(self, lattice=lattice, coarse=coarse)
 
-    @cached_property
-    def body_cell(self) -> Int64s:
-        """The body's cell from a foot's cell, per heading * 2 + side (2 H,)."""
-        potential = self.tables.potential
-        return (potential.body_row * self.lattice.cols + potential.body_col).reshape(-1)
-
-    @property
-    def potential_um(self) -> Int64s:
-        """Potential per heading * 2 + side (2 H,)."""
-        return self.tables.potential.potential_um.reshape(-1)
-
     def body_cells(self, nodes: Int64s) -> Int64s:
         """The body's cell (n,) of nodes (n,)."""
         rows = 2 * self.lattice.headings
-        return nodes // rows + self.body_cell[nodes % rows]
+        return nodes // rows + self.tables.potential.cell_offsets(self.lattice.cols)[nodes % rows]
 
-    @property
-    def goal_nodes(self) -> Int64s:
-        """Nodes of the goal feet (2,), left then right."""
-        origin = self.lattice.origin_row * self.lattice.cols + self.lattice.origin_col
-        return np.arange(2) + origin * self.lattice.headings * 2
+    def potentials_um(self, nodes: Int64s) -> Int64s:
+        """Potential (n,) of nodes (n,)."""
+        return self.tables.potential.potential_um[nodes % (2 * self.lattice.headings)]
 
     @cached_property
     def ends(self) -> Int64s:
@@ -159,36 +131,47 @@ class Request:
         """The robot."""
         return self.context.model
 
-    def first_nodes(self) -> tuple[Int64s, Int64s]:
+    @property
+    def pair_margin_m(self) -> float:
+        """Margin of the body's box at the pair pose of the first step."""
+        return 0.0 if self.stands else self.model.body_margin_m
+
+    @property
+    def feet_um(self) -> Int64s:
+        """Heights of the feet (2,) in micrometres."""
+        return np.rint(self.feet_m * MICRO).astype(np.int64)
+
+    @cached_property
+    def first_steps(self) -> tuple[Int64s, Int64s]:
         """Nodes (n,) and costs (n,) of the first steps with either foot, or the one asked for."""
         sides = tuple(Side) if self.first_side is None else (self.first_side,)
         return first_steps(
-            self.lattice,
-            self.model,
-            self.feet_lattice,
-            sides,
-            0.0 if self.stands else self.model.body_margin_m,
-            np.rint(self.feet_m * MICRO).astype(np.int64),
+            self.lattice, self.model, self.feet_lattice, sides, self.pair_margin_m, self.feet_um
         )
 
-    def straight_bound(self, nodes: Int64s, costs_um: Int64s) -> int:
-        """Lower bound on plans to the goal's own pose by first steps (n,), without the map."""
-        lattice, potential_um = self.lattice, self.context.potential_um
+    @property
+    def has_first_step(self) -> bool:
+        """Whether there is any first step."""
+        return len(self.first_steps[0]) > 0
+
+    def straight_bound(self) -> int:
+        """Lower bound on plans to the goal's own pose, without the map."""
+        (nodes, costs_um), lattice = self.first_steps, self.lattice
         cells = self.context.body_cells(nodes)
         across = cells % lattice.cols - lattice.origin_col
         up = cells // lattice.cols - lattice.origin_row
         straight_um = straight_cost(across, up, self.context.tables.potential)
-        return int((costs_um + straight_um + potential_um[nodes % len(potential_um)]).min())
+        return int((costs_um + straight_um + self.context.potentials_um(nodes)).min())
 
-    def lower_bound(self, nodes: Int64s, costs_um: Int64s) -> int:
-        """Lower bound on plans by way of first steps (n,) that is quick to compute."""
-        if self.context.region.is_point:
-            return self.straight_bound(nodes, costs_um)
-        return self.heuristic_bound(nodes, costs_um)
+    def heuristic_bound(self, heuristic: Heuristic | None = None) -> int:
+        """Lower bound on plans by a heuristic toward the goal; that of the context by default."""
+        nodes, costs_um = self.first_steps
+        heuristic = heuristic or self.context.heuristic
+        return int((costs_um + estimates(self.lattice, heuristic, nodes)).min())
 
-    def heuristic_bound(self, nodes: Int64s, costs_um: Int64s) -> int:
-        """Lower bound on plans by way of first steps (n,), by the heuristic toward the goal."""
-        return int((costs_um + estimates(self.lattice, self.context.heuristic, nodes)).min())
+    def quick_bound(self) -> int:
+        """Lower bound on plans that is quick to compute."""
+        return self.straight_bound() if self.context.region.is_point else self.heuristic_bound()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,7 +183,6 @@ class SearchTask:
 
     lattice: Lattice
     heuristic: Heuristic
-    steps: Int64s
     is_backward: bool
     roots: Int64s
     root_um: Int64s
@@ -209,7 +191,7 @@ class SearchTask:
 
     def tree(self) -> Tree:
         """A new tree with the roots in it."""
-        tree = new_tree(self.lattice, self.steps, self.is_backward)
+        tree = new_tree(self.lattice, self.is_backward)
         tree = tree._replace(goals=self.goals, goal_um=self.goal_um)
         insert_roots(tree, self.roots, self.root_um)
         return tree
@@ -221,18 +203,14 @@ class SearchTask:
         cells = self.roots // (2 * self.lattice.headings) + self.heuristic.body_cell[rows]
         return len(self.goals) > 0 and bool(np.any(self.heuristic.cost_um[cells] > 0))
 
-    def in_order(self, path: Int64s) -> Int64s:
-        """Nodes of a path from a root to a goal in the order of the steps."""
-        return path[::-1].copy() if self.is_backward else path
 
-
-def new_tree(lattice: Lattice, steps: Int64s, is_backward: bool) -> Tree:
+def new_tree(lattice: Lattice, is_backward: bool) -> Tree:
     """A tree with neither roots nor goals."""
     length = lattice.slots.length
     scalars = np.zeros(SCALARS, np.int64)
     scalars[BEST_UM] = NO_COST
     return Tree(
-        steps=steps,
+        steps=reversed_steps(lattice.steps) if is_backward else lattice.steps,
         is_backward=is_backward,
         slots=lattice.slots,
         cost_um=zeros(length, np.int32),
@@ -257,6 +235,12 @@ def with_longer_queue(tree: Tree) -> Tree:
     )
 
 
+def best_nodes(tree: Tree) -> Int64s:
+    """Nodes (n,) of the best plan but for its last, in the order of the steps."""
+    path = trace(tree, int(tree.scalars[BEST_NODE]))
+    return path[::-1].copy() if tree.is_backward else path
+
+
 @njit_arrays
 def trace(tree: Tree, node: int) -> Int64s:
     """Path (n,) of nodes from a root to a node, both included."""
@@ -274,13 +258,12 @@ def trace(tree: Tree, node: int) -> Int64s:
     return path
 
 
-def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> SearchTask:
-    """From the first steps (n,) with their costs to the goal region."""
-    ends = request.context.ends
+def forward_task(request: Request) -> SearchTask:
+    """From the first steps to the goal region."""
+    ends, (nodes, costs_um) = request.context.ends, request.first_steps
     return SearchTask(
         lattice=request.lattice,
         heuristic=request.context.heuristic,
-        steps=request.lattice.steps,
         is_backward=False,
         roots=nodes,
         root_um=costs_um,
@@ -289,25 +272,22 @@ def forward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> SearchTas
     )
 
 
-def backward_task(request: Request, nodes: Int64s, costs_um: Int64s) -> SearchTask:
-    """From the goal region to the first steps (n,) with their costs."""
-    roots = request.context.ends
+def backward_task(request: Request, further_um: int | None = None) -> SearchTask:
+    """From the goal region to the first steps; further_um: as in `heuristic_to_start`."""
+    ends, (nodes, costs_um) = request.context.ends, request.first_steps
     order = np.argsort(nodes)
     return SearchTask(
         lattice=request.lattice,
-        heuristic=heuristic_to_start(request, nodes, costs_um),
-        steps=turned_round(request.lattice.steps),
+        heuristic=heuristic_to_start(request, further_um),
         is_backward=True,
-        roots=roots,
-        root_um=np.full(len(roots), final_cost_um(request.model)),
+        roots=ends,
+        root_um=np.full(len(ends), final_cost_um(request.model)),
         goals=nodes[order],
         goal_um=costs_um[order],
     )
 
 
-def heuristic_to_start(
-    request: Request, nodes: Int64s, costs_um: Int64s, further_um: int | None = None
-) -> Heuristic:
+def heuristic_to_start(request: Request, further_um: int | None = None) -> Heuristic:
     """Lower bound on the cost from the start, for a search from the goal.
 
     By inequality (1) of `potential.py`, summed from a first step s,
@@ -317,23 +297,18 @@ def heuristic_to_start(
     further_um: D is exact only where paths to the goal pass that cost at most so much more than the
     cheapest, and lower elsewhere; None: everywhere.
     """
-    context, potential = request.context, request.context.tables.potential
-    value_um = costs_um + context.potential_um[nodes % (2 * request.lattice.headings)]
-    cells, least_um = least_in_cells(context.body_cells(nodes), value_um)
+    (nodes, costs_um), context, lattice = request.first_steps, request.context, request.lattice
+    potential = context.tables.potential
+    values_um = costs_um + context.potentials_um(nodes)
+    cells, least_um = least_in_cells(context.body_cells(nodes), values_um)
     base_um = int(least_um.min())
     seeds = cells, least_um - base_um
     if further_um is None:
-        path = spread_from(request.lattice, potential, *seeds)
+        cost_um = path_costs(lattice, potential, *seeds)
     else:
         ends = np.unique(context.body_cells(context.ends))
-        path = draw_path(request.lattice, potential, *seeds, ends, further_um)
-    return of_path(
-        request.lattice,
-        path.cost_um,
-        path.frontier_um,
-        context.body_cell,
-        base_um - context.potential_um,
-    )
+        cost_um = lazy_path_costs(lattice, potential, *seeds, ends, further_um)
+    return heuristic_by_path(lattice, potential, cost_um, base_um - potential.potential_um)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,6 @@ there is a way. Both use the steps and checks of the search, so the verdict is e
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +20,12 @@ from planner.lattice.lattice import (
     D_HALF,
     D_NODE,
     HALF_HEADING,
+    Int64s,
     Lattice,
     node_free,
     pair_known_free,
+    reversed_steps,
     step_climbs,
-    turned_round,
 )
 
 FORWARD, BACKWARD = 1, 2
@@ -40,71 +40,53 @@ class Verdict(IntEnum):
     GOAL_ENCLOSED = 2
     START_ENCLOSED = 3
 
+
+class Floods:
+    """The two floods, from first steps (n,) and from the goal's nodes (m,), and their verdict."""
+
+    def __init__(self, lattice: Lattice, seeds: Int64s, goals: Int64s) -> None:
+        self._lattice = lattice
+        self._back_steps = reversed_steps(lattice.steps)
+        # FORWARD or BACKWARD where a flood has reached a node, 0 elsewhere.
+        self._seen = zeros(lattice.nodes, np.uint8)
+        # Stacks of nodes to expand; for each of the two, how many are on it and how many were.
+        self._forward = np.unique(seeds).astype(np.int32)
+        free = [goal for goal in goals if node_free(lattice, int(goal))]
+        self._backward = np.array(free, np.int32)
+        self._ends = np.repeat([len(self._forward), len(self._backward)], 2)
+        self._seen[self._forward] = FORWARD
+        self._seen[self._backward] |= BACKWARD
+        has_met = np.any(self._seen[self._backward] == FORWARD | BACKWARD)
+        self.verdict = Verdict.MET if has_met else Verdict.OPEN
+
+    def expand(self, budget: int) -> Verdict:
+        """Expands so many nodes of each flood while the verdict is open; the verdict."""
+        for done in range(0, budget, _CHUNK):
+            chunk = min(_CHUNK, budget - done)
+            most = chunk * self._lattice.steps.shape[1]
+            self._forward = with_room(self._forward, int(self._ends[0]), most)
+            self._backward = with_room(self._backward, int(self._ends[2]), most)
+            for stack, steps, mine, at, dry in (
+                (self._backward, self._back_steps, BACKWARD, 2, Verdict.GOAL_ENCLOSED),
+                (self._forward, self._lattice.steps, FORWARD, 0, Verdict.START_ENCLOSED),
+            ):
+                if self.verdict is not Verdict.OPEN:
+                    return self.verdict
+                if _expand(self._lattice, self._seen, stack, steps, mine, self._ends, at, chunk):
+                    self.verdict = Verdict.MET
+                elif self._ends[at] == 0:
+                    self.verdict = dry
+        return self.verdict
+
     @property
-    def is_enclosed(self) -> bool:
-        """Whether there is no way."""
-        return self in (Verdict.GOAL_ENCLOSED, Verdict.START_ENCLOSED)
-
-
-class Flood(NamedTuple):
-    """State of the two floods, kept between calls of `expand_both`.
-
-    seen (nodes,): FORWARD or BACKWARD where a flood has reached, 0 elsewhere. back_steps:
-    `Lattice.steps` reversed. forward, backward: stacks of nodes to expand. ends (4,): for each of
-    the two, how many are on the stack and how many were reached in all.
-    """
-
-    seen: NDArray[np.uint8]
-    back_steps: NDArray[np.int64]
-    forward: NDArray[np.int32]
-    backward: NDArray[np.int32]
-    ends: NDArray[np.int64]
-
-
-def why_enclosed(verdict: Verdict, flood: Flood) -> str:
-    """Why the goal cannot be reached, where floods proved that."""
-    is_goal = verdict is Verdict.GOAL_ENCLOSED
-    where = "from outside to the goal" if is_goal else "out from the start"
-    poses = int(flood.ends[1] + flood.ends[3])
-    return f"the goal cannot be reached: obstacles leave no steps {where} ({poses} poses tried)"
-
-
-def new_flood(lattice: Lattice, seeds: NDArray[np.int64], goals: NDArray[np.int64]) -> Flood:
-    """Floods from the first steps (n,) and from the goal's nodes (m,), nothing expanded."""
-    seen = zeros(lattice.cols * lattice.rows * lattice.headings * 2, np.uint8)
-    forward = np.unique(seeds).astype(np.int32)
-    backward = np.array([goal for goal in goals if node_free(lattice, int(goal))], np.int32)
-    seen[forward] = FORWARD
-    seen[backward] |= BACKWARD
-    return Flood(
-        seen=seen,
-        back_steps=turned_round(lattice.steps),
-        forward=with_room(forward, len(forward), lattice.steps.shape[1]),
-        backward=with_room(backward, len(backward), lattice.steps.shape[1]),
-        ends=np.array([len(forward), len(forward), len(backward), len(backward)]),
-    )
-
-
-def expand_both(lattice: Lattice, flood: Flood, budget: int) -> tuple[Flood, Verdict]:
-    """Expands so many nodes of each flood; the floods and a verdict."""
-    if np.any(flood.seen[flood.backward[: min(2, int(flood.ends[2]))]] == FORWARD | BACKWARD):
-        return flood, Verdict.MET
-    for done in range(0, budget, _CHUNK):
-        chunk = min(_CHUNK, budget - done)
-        most = chunk * lattice.steps.shape[1]
-        flood = flood._replace(
-            forward=with_room(flood.forward, int(flood.ends[0]), most),
-            backward=with_room(flood.backward, int(flood.ends[2]), most),
-        )
-        for stack, steps, mine, at, dry in (
-            (flood.backward, flood.back_steps, BACKWARD, 2, Verdict.GOAL_ENCLOSED),
-            (flood.forward, lattice.steps, FORWARD, 0, Verdict.START_ENCLOSED),
-        ):
-            if _expand(lattice, flood.seen, stack, steps, mine, flood.ends, at, chunk):
-                return flood, Verdict.MET
-            if flood.ends[at] == 0:
-                return flood, dry
-    return flood, Verdict.OPEN
+    def reason(self) -> str:
+        """Why the goal cannot be reached, where the floods prove that; else empty."""
+        if self.verdict not in (Verdict.GOAL_ENCLOSED, Verdict.START_ENCLOSED):
+            return ""
+        is_goal = self.verdict is Verdict.GOAL_ENCLOSED
+        where = "from outside to the goal" if is_goal else "out from the start"
+        poses = int(self._ends[1] + self._ends[3])
+        return f"the goal cannot be reached: obstacles leave no steps {where} ({poses} poses tried)"
 
 
 @njit_no_refcount

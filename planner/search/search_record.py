@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +10,10 @@ from numpy.typing import NDArray
 
 from planner.compiled import LOW, njit_arrays, slot_of
 from planner.lattice.lattice import Int64s, Lattice
-from planner.lattice.steps import MICRO
-from planner.search.best_first import NO_COST, Tree
+from planner.search.best_first import Tree
 
 FloatArray = NDArray[np.float64]
+Moment = tuple[float, float, float]  # seconds since the request, cost and lower bound in metres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,32 +32,19 @@ class SearchRecord:
     expanded: FloatArray
 
 
-class Recorder:
-    """Collects a record; began: time.perf_counter() of the request's arrival."""
-
-    def __init__(self, began: float) -> None:
-        self._began = began
-        self._moments: list[tuple[float, float, float]] = []
-
-    def note(self, best_um: int, lower_bound_um: int) -> None:
-        """Notes the cost of the best plan now, NO_COST without one, and the bound."""
-        cost_m = best_um / MICRO if best_um < NO_COST else math.inf
-        elapsed_s = time.perf_counter() - self._began
-        self._moments.append((elapsed_s, cost_m, lower_bound_um / MICRO))
-
-    def record(self, lattice: Lattice, tree: Tree) -> SearchRecord:
-        """The record of the search that made a tree."""
-        number = _expansions_per_cell(lattice, tree)
-        cell = np.flatnonzero(number)
-        x_m = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
-        y_m = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m
-        moments = np.array(self._moments).reshape(-1, 3)
-        return SearchRecord(
-            time_s=moments[:, 0],
-            cost_m=moments[:, 1],
-            lower_bound_m=moments[:, 2],
-            expanded=np.column_stack([x_m, y_m, number[cell]]),
-        )
+def search_record(moments: Sequence[Moment], lattice: Lattice, tree: Tree) -> SearchRecord:
+    """The record of the search that made a tree."""
+    number = _expansions_per_cell(lattice, tree)
+    cell = np.flatnonzero(number)
+    x_m = (cell % lattice.cols - lattice.origin_col) * lattice.cell_m
+    y_m = (cell // lattice.cols - lattice.origin_row) * lattice.cell_m
+    time_s, cost_m, lower_bound_m = np.array(moments).reshape(-1, 3).T
+    return SearchRecord(
+        time_s=time_s,
+        cost_m=cost_m,
+        lower_bound_m=lower_bound_m,
+        expanded=np.column_stack([x_m, y_m, number[cell]]),
+    )
 
 
 @njit_arrays
