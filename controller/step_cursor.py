@@ -15,6 +15,8 @@ from controller.gait import CONTROL_PERIOD_S, GaitTicks, clock, support_indicato
 from planner.robot_model import Side
 
 STANCE = 2  # entries of a sequence before its first step
+# Share of its swing during which a foot that must clear something is on its way up.
+RISING_SHARE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,11 +25,14 @@ class StepSequence:
 
     `side` (STANCE + N,) alternates; `pose_world` (STANCE + N, 4) is x_m, y_m, z_m, yaw_rad.
     `step_s` (N,) is how long each step takes; None: as long as the robot's gait does.
+    `swing_over_z_m` (N,) is the top of what each step swings over, -inf where that is nothing;
+    None: all level with the feet.
     """
 
     side: np.ndarray
     pose_world: np.ndarray
     step_s: np.ndarray | None = None
+    swing_over_z_m: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -36,6 +41,7 @@ class StepSequence:
         side: np.ndarray,
         pose_world: np.ndarray,
         step_s: np.ndarray | None = None,
+        swing_over_z_m: np.ndarray | None = None,
     ) -> StepSequence:
         """A sequence from the start feet (2, 4; left, right) and the steps side (N,), pose (N, 4).
 
@@ -50,6 +56,7 @@ class StepSequence:
             side=np.concatenate([order, side]),
             pose_world=np.concatenate([start_feet_world[order], pose_world]),
             step_s=step_s,
+            swing_over_z_m=swing_over_z_m,
         )
 
 
@@ -68,6 +75,7 @@ class StepCursor:
         self._pose = np.zeros((count, STANCE + capacity + 1, 4))
         self._swing = np.full((count, STANCE + capacity + 1), gait.swing, dtype=np.int64)
         self._double = np.full((count, STANCE + capacity + 1), gait.double_support, dtype=np.int64)
+        self._over_z_m = np.full((count, STANCE + capacity + 1), -np.inf)
         self._steps = np.zeros(count, dtype=np.int64)
         self._wait = np.zeros(count, dtype=np.int64)
         self.entry = np.zeros(count, dtype=np.int64)
@@ -91,6 +99,7 @@ class StepCursor:
             self._pose = np.pad(self._pose, ((0, 0), (0, grown), (0, 0)))
             self._swing = np.pad(self._swing, ((0, 0), (0, grown)))
             self._double = np.pad(self._double, ((0, 0), (0, grown)))
+            self._over_z_m = np.pad(self._over_z_m, ((0, 0), (0, grown)))
         self._side[row, :end], self._pose[row, :end] = sequence.side, sequence.pose_world
         # After the last step the window shows the other foot where it stands.
         self._side[row, end], self._pose[row, end] = sequence.side[-2], sequence.pose_world[-2]
@@ -104,6 +113,9 @@ class StepCursor:
             # The weight shift before the first step is as quick as that step.
             self._swing[row, :STANCE] = self._swing[row, STANCE]
             self._double[row, :STANCE] = self._double[row, STANCE]
+        self._over_z_m[row] = -np.inf
+        if sequence.swing_over_z_m is not None:
+            self._over_z_m[row, STANCE:end] = sequence.swing_over_z_m
         self._steps[row] = steps
         self._wait[row] = wait_ticks
         self.standing[row] = steps == 0 or not walking
@@ -187,6 +199,19 @@ class StepCursor:
         """Poses in the world of the present and the next step (B, 2, 4)."""
         entries = self.entry[:, None] + np.arange(2)
         return self._pose[self._rows[:, None], entries]
+
+    @property
+    def shown_window(self) -> np.ndarray:
+        """The window (B, 2, 4) as the policy sees it.
+
+        It is not told what lies between the steps. So a foot that must clear something sees a
+        step as high as that while it is on its way up, and lifts itself onto it.
+        """
+        window = self.window
+        rising = self.swinging & (self.tick < RISING_SHARE * self.ticks.swing)
+        over_z_m = self._over_z_m[self._rows, self.entry]
+        window[:, 0, 2] = np.where(rising, np.maximum(window[:, 0, 2], over_z_m), window[:, 0, 2])
+        return window
 
     @property
     def foot_targets(self) -> np.ndarray:

@@ -62,7 +62,7 @@ class Walker:
             joint_qpos=self.scene.joint_qpos,
             joint_qvel=self.scene.joint_qvel,
             clock=self.cursor.clock,
-            window=self.cursor.window,
+            window=self.cursor.shown_window,
             step_s=self.cursor.step_s,
         )
 

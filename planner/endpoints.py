@@ -8,8 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
-from planner.collision import Terrain, box_free, heights_below, resting_heights, terrain_of
-from planner.plan import feet_at, pair_pose
+from planner.collision import (
+    Terrain,
+    box_free,
+    heights_below,
+    highest_between,
+    resting_heights,
+    terrain_of,
+)
+from planner.plan import FootstepPlan, feet_at, pair_pose
 from planner.robot_model import Side, StepModel, half_box
 
 FloatArray = NDArray[np.float64]
@@ -113,6 +120,24 @@ class Footing:
         if self._terrain is not None:
             feet[:, 2] = resting_heights(self._grid, self._terrain, self._model, feet_world)
         return feet
+
+    def swing_over_z_m(self, plan: FootstepPlan) -> FloatArray:
+        """Top (N,) of what each step swings over, -inf where nothing is higher than its ends."""
+        over_z_m = np.full(len(plan), -np.inf)
+        if self._terrain is None:
+            return over_z_m
+        feet = plan.start_feet_world.copy()
+        sole = half_box(self._model.foot, 0.0)
+        for k, (side, pose) in enumerate(zip(plan.side, plan.pose_world, strict=True)):
+            lift_off, feet[side] = feet[side].copy(), pose
+            (x0, y0), (x1, y1) = self._grid.world_to_grid([lift_off[:2], pose[:2]]).tolist()
+            yaw_rad = float(pose[3]) - self._grid.origin[2]
+            high_um = highest_between(
+                self._terrain, (x0, y0), (x1, y1), math.cos(yaw_rad), math.sin(yaw_rad), sole
+            )
+            if high_um / 1e6 > max(lift_off[2], pose[2]) + self._model.level_m + _ROUNDING_M:
+                over_z_m[k] = high_um / 1e6
+        return over_z_m
 
     def stand_m(self, pose: ArrayLike) -> float:
         """Height of the ground at which a robot stands at a pair pose: the higher of two feet."""

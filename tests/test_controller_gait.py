@@ -142,6 +142,27 @@ def test_steps_take_as_long_as_the_track_says():
     assert cursor.step_s[1] == pytest.approx([1.1, 1.1])
 
 
+def test_a_foot_that_must_clear_something_is_shown_a_higher_step_while_it_rises():
+    cursor = StepCursor(TICKS, 2, 3)
+    steps = sequence([Side.RIGHT, Side.LEFT, Side.RIGHT])
+    over_z_m = np.array([-np.inf, 0.05, -0.1])  # nothing, a sill, and what is lower than the step
+    cursor.follow(0, replace(steps, swing_over_z_m=over_z_m), walking=True)
+    cursor.follow(1, steps, walking=True)
+    raised = []
+    for _ in range(3 * TICKS.step):
+        shown = cursor.shown_window
+        assert np.array_equal(shown[1], cursor.window[1])
+        assert np.array_equal(shown[0, 1], cursor.window[0, 1])
+        assert np.array_equal(shown[0, 0, [0, 1, 3]], cursor.window[0, 0, [0, 1, 3]])
+        raised.append(shown[0, 0, 2] - cursor.window[0, 0, 2])
+        cursor.advance()
+    # Half of the 30 ticks of the second swing.
+    assert np.flatnonzero(raised).tolist() == list(range(44, 44 + 15))
+    assert np.max(raised) == pytest.approx(0.05)
+    cursor.follow(0, steps, walking=True)
+    assert np.array_equal(cursor.shown_window, cursor.window)
+
+
 def test_the_weight_shift_is_as_quick_as_the_first_step():
     cursor = StepCursor(TICKS, 1, 2)
     cursor.follow(0, replace(sequence([Side.LEFT]), step_s=np.array([0.7])))

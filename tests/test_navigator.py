@@ -237,6 +237,14 @@ def test_the_shipped_policy_walks_over_the_stairs():
     assert pelvis_m[-1] < pelvis_m.max() - 0.4
 
 
+@pytest.mark.slow
+def test_the_shipped_policy_steps_over_the_sills():
+    over = walk(navigator(load_map("maps/sills.yaml"), (6.0, 2.0, 0.0)))
+    assert over.outcome is Outcome.REACHED, over.reason
+    assert over.replans == 0
+    assert max(placed.error_m for placed in over.placed) < 0.05
+
+
 def test_treads_are_no_walls():
     scene = scene_of(STAIRS, ROBOT, False)
     # Shins in the first risers, so that treads are touched; the walls are 1.2 m to either side.

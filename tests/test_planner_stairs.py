@@ -11,6 +11,7 @@ from shapely import affinity
 
 from app.pictures.canvas import draw_plan
 from maps.map_files import load_map
+from planner.endpoints import Footing
 from planner.options import PlannerOptions
 from planner.planner import Planner, plan_footsteps
 from planner.verify import violations
@@ -112,6 +113,20 @@ def test_sills_are_stepped_over_and_never_on(start, goal, refine):
         assert min(sole.distance(bar) for sole in soles) >= MODEL.level_margin_m - 1e-6
         sides = {sole.centroid.x > x1 for sole in soles}
         assert sides == {True, False}
+    over_z_m = Footing(SILLS_MAP, MODEL, False).swing_over_z_m(plan)
+    feet = plan.start_feet_world.copy()
+    for side, pose, top_m in zip(plan.side, plan.pose_world, over_z_m, strict=True):
+        xs = sorted((feet[side][0], pose[0]))
+        is_over = any(xs[0] < x0 and x1 < xs[1] for x0, x1 in BARS_M)
+        assert top_m == (pytest.approx(0.05) if is_over else -np.inf)
+        feet[side] = pose
+
+
+def test_steps_on_stairs_swing_over_nothing_but_their_own_ground():
+    plan = plan_footsteps(STAIRS_MAP, MODEL, start=(0, 0, 0), goal=(7, 0, 0))
+    assert plan.found
+    assert np.ptp(plan.pose_world[:, 2]) > 0.5
+    assert (Footing(STAIRS_MAP, MODEL, False).swing_over_z_m(plan) == -np.inf).all()
 
 
 @pytest.mark.parametrize("name", ["astar", "backward", "adstar", "rstar", "rrtconnect"])

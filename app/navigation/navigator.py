@@ -300,7 +300,10 @@ class Navigator:
         if plan.step_s is not None and len(plan):
             self.policy.require_pace(self.robot, plan.step_s)
         side = plan.side.astype(np.int64)
-        sequence = StepSequence.of(plan.start_feet_world, side, plan.pose_world, plan.step_s)
+        over_z_m = self._footing.swing_over_z_m(plan)
+        sequence = StepSequence.of(
+            plan.start_feet_world, side, plan.pose_world, plan.step_s, over_z_m
+        )
         self.walker.follow(0, sequence, wait_ticks=wait_ticks, walking=walking)
         self.followed.append((self.time_s, plan))
         self._still_ticks = self._arrived_ticks = 0
