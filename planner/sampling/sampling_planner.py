@@ -42,6 +42,7 @@ from planner.sampling.ompl_paths import (
 from planner.sampling.path_headings import choose_headings
 from planner.search.ara_star import plan_ara
 from planner.search.first_plan import is_cut_off
+from planner.search.passages import is_shut
 from planner.search.problem import (
     GoalContext,
     Request,
@@ -289,6 +290,8 @@ def _find_path(query: GridRequest, most: int) -> SampledPath:
 def _no_plan(query: GridRequest, sampled: SampledPath) -> Result:
     """NO_PATH if that is proven, else TIMED_OUT."""
     request = query.request
+    if is_shut(request):
+        return replace(no_body_path(), expansions=sampled.iterations)
     floods = Floods(request.lattice, request.first_steps[0], request.context.ends)
     floods.expand(_FLOOD_NODES)
     if floods.reason:

@@ -32,6 +32,7 @@ from planner.search.best_first import (
     start_iteration,
 )
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan, is_cut_off
+from planner.search.passages import is_shut
 from planner.search.problem import (
     Request,
     Result,
@@ -77,6 +78,7 @@ class AraStar:
         self._first: FirstPlan | None = None
         self._spent = 0  # expansions before this search
         self._floods: Floods | None = None
+        self._is_shut = False
         self._flood_turn = FLOOD_TURN
         self._moments: list[Moment] = []
 
@@ -167,10 +169,13 @@ class AraStar:
             self._reorder_open(1.0)
 
     def _is_enclosed(self) -> bool:
-        """Whether the floods, if it is their turn, prove that no steps lead to the goal."""
+        """Whether floods, if it is their turn, prove that no steps lead to the goal."""
         if self._may_be_enclosed() and self._expansions >= FLOOD_AFTER:
             task = self.task
             if self._floods is None:
+                self._is_shut = is_shut(self.request)
+                if self._is_shut:
+                    return True
                 ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
                 self._floods = Floods(task.lattice, *ends)
             self._floods.expand(self._flood_turn)
@@ -227,6 +232,8 @@ class AraStar:
 
     def _no_plan(self) -> Result:
         expansions = self._expansions
+        if self._is_shut:
+            return replace(no_body_path(), expansions=expansions)
         if self._floods is not None and self._floods.reason:
             return failure(PlanStatus.NO_PATH, self._floods.reason, expansions)
         if self._limit_reached():

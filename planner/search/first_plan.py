@@ -77,7 +77,7 @@ def is_cut_off(request: Request) -> bool:
         return False
     cells = np.unique(request.context.body_cells(request.first_steps[0]))
     path = path_toward(request.lattice, request.context.tables.potential, cells, margin_moves=0)
-    return not path.reaches_any(cells) or is_shut(request)
+    return not path.reaches_any(cells)
 
 
 def _plan_to_point(request: Request, options: PlannerOptions) -> FirstPlan | None:
