@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from maps.terraces import Terraces
+from maps.boxes import Terraces
 from sim.robot import GROUND_PREFIX, SURROUNDINGS_BITS
 
 TREADS = 9

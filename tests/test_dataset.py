@@ -14,9 +14,9 @@ import pytest
 from app.cli import main
 from app.commands.dataset import lhw_text
 from app.output import ExitCode
+from maps.boxes import with_boxes
 from maps.grid import Cell, OccupancyGrid
 from maps.map_files import copy_map, find_map, load_map
-from maps.obstacles import with_boxes
 from planner.corpus.check import from_document
 from planner.corpus.corpus import Corpus
 from planner.corpus.generate import RandomPlans, floor_around, random_plans

@@ -9,11 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from maps.boxes import merge_rectangles, obstacle_boxes, plates_of, terraces_of
 from maps.grid import Cell, OccupancyGrid, distance_field
 from maps.make_maps import OFFICE, ROOM, SILLS, STAIRS, write
 from maps.map_files import load_map
-from maps.obstacles import merge_rectangles, obstacle_boxes
-from maps.terraces import plates_of, terraces_of
 
 MAPS = Path(__file__).parents[1] / "maps"
 

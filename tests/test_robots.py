@@ -9,12 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from maps.terraces import Terraces
+from maps.boxes import Terraces
 from sim.batch import SimBatch
-from sim.clearance import min_clearance_m
 from sim.robot import PHYSICS_GROUP
 from sim.robots import get_robot, robot_names
-from sim.scene import WALL_HEIGHT_M, Scene, build_scene
+from sim.scene import WALL_HEIGHT_M, Scene, build_scene, min_clearance_m
 from sim.sensors import SIDES
 from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground
 from tests.scenes import mirrored_qpos, mirrored_qvel, posture_over, reach_m, standing

@@ -27,9 +27,8 @@ from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, finite_pose, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
-from sim.clearance import min_clearance_m
 from sim.robot import Robot
-from sim.scene import scene_of
+from sim.scene import min_clearance_m, scene_of
 
 GOAL_TOLERANCE_M = 0.10
 GOAL_TOLERANCE_RAD = math.radians(10.0)

@@ -25,8 +25,8 @@ from app.pictures.canvas import (
     put_text,
 )
 from app.pictures.plan_pictures import Swatch, with_legend
+from maps.boxes import with_boxes
 from maps.grid import OccupancyGrid
-from maps.obstacles import with_boxes
 from planner.corpus.check import plan_of
 from planner.corpus.corpus import Corpus
 from planner.plan import FootstepPlan

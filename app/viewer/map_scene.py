@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from maps.boxes import Terraces, plates_of, terraces_of
 from maps.grid import Cell, OccupancyGrid
-from maps.terraces import Terraces, plates_of, terraces_of
 from sim.scene import WALL_HEIGHT_M
 
 FLOOR_RGB = (205, 208, 212)
@@ -33,7 +33,7 @@ def solid(
 ) -> tuple[FloatArray, NDArray[np.int64]]:
     """Vertices (V, 3) and triangles (F, 3), counter-clockwise as seen from outside, of boxes.
 
-    boxes (n, 5) as in `maps.terraces`; they rise `rise_m` above their heights, from `base_m`, and
+    boxes (n, 5) as in `maps.boxes`; they rise `rise_m` above their heights, from `base_m`, and
     cover whole cells of the side `cell_m`. There are no faces below, nor where two of them touch:
     their edges would flicker through the tops.
     """

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from app.viewer.map_scene import on_floor
 from app.viewer.obstacles import Obstacle, cells_below
+from maps.boxes import terraces_of
 from maps.grid import Cell, OccupancyGrid
-from maps.terraces import terraces_of
 from planner.plan import Pose
 from sim.scene import WALL_HEIGHT_M
 

@@ -10,7 +10,7 @@ import numpy as np
 from app.navigation.navigator import Navigator
 from controller.gait import CONTROL_PERIOD_S
 from planner.plan import FootstepPlan, Pose
-from sim.clearance import min_clearance_m
+from sim.scene import min_clearance_m
 
 FORCE_WINDOW_S = 6.0
 _PATH_EVERY_TICKS = 10

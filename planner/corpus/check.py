@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from maps.boxes import with_boxes
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
-from maps.obstacles import with_boxes
 from planner.corpus.corpus import MANIFEST, Corpus, CorpusError
 from planner.plan import FootstepPlan, PlanStatus, finite_pose
 from planner.robot_model import StepModel

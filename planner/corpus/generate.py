@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from maps.boxes import with_boxes
 from maps.grid import OccupancyGrid
-from maps.obstacles import with_boxes
 from planner.collision import Terrain, terrain_of
 from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
