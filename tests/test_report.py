@@ -14,6 +14,7 @@ from app.navigation.report import (
 )
 from app.output import ExitCode
 from controller.evaluation.gait_summary import GaitSummary
+from planner.plan import NarrowPlace
 
 REPORT = NavigationReport(
     outcome=Outcome.REACHED,
@@ -70,20 +71,22 @@ GAIT = GaitSummary(
     cost_of_transport=0.4,
     speed_m_s=0.28,
 )
-WITH_GAIT = dataclasses.replace(REPORT, gait=GAIT)
+PLACE = NarrowPlace(x=1.5, y=-0.25, width_m=0.65, needed_m=0.842)
+WITH_ALL = dataclasses.replace(REPORT, gait=GAIT, narrow_place=PLACE)
 
 
 def test_every_field_is_in_the_document():
     fields = {field.name for field in dataclasses.fields(NavigationReport)}
-    assert set(json.loads(WITH_GAIT.to_json())) == fields | {"format"}
-    assert set(json.loads(REPORT.to_json())) == (fields | {"format"}) - {"gait"}
+    assert set(json.loads(WITH_ALL.to_json())) == fields | {"format"}
+    without = set(json.loads(REPORT.to_json()))
+    assert without == (fields | {"format"}) - {"gait", "narrow_place"}
 
 
 @pytest.mark.parametrize(
     "report",
     [
         REPORT,
-        WITH_GAIT,
+        WITH_ALL,
         NavigationReport(
             outcome=Outcome.NO_PATH,
             reason="the goal is walled in",
