@@ -86,6 +86,7 @@ def test_it_is_small_and_names_no_script_elsewhere(page):
     assert not re.findall(r'<(?:script|link)[^>]+(?:src|href)="(?!data:)', page)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["jvrc1", "hrp5p"])
 def test_a_walk_of_forty_seconds_can_be_sent_by_mail(name, story, tmp_path):
     """Below 6 MB, though every joint moves all the time, and each in its own way."""

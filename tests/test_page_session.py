@@ -95,6 +95,7 @@ def test_a_new_goal_while_it_walks(session):
     assert end.qpos[0] == pytest.approx(1.5, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_box_in_the_way_is_walked_around(session):
     session.clock.factor = 4.0
     session.go_to((3.0, 0.0, 0.0))
@@ -151,6 +152,7 @@ def test_a_box_that_comes_while_a_walk_is_improved_begins_no_new_walk():
     assert not replanner.question.fresh
 
 
+@pytest.mark.slow
 def test_it_stops_where_the_way_is_closed(session):
     session.clock.factor = 4.0
     session.go_to((3.0, 0.0, 0.0))
@@ -161,6 +163,7 @@ def test_it_stops_where_the_way_is_closed(session):
     assert end.qpos[0] < 2.0
 
 
+@pytest.mark.slow
 def test_reset_puts_it_back_whatever_has_happened(session):
     session.go_to(AHEAD)
     wait_for(session, lambda now: now.status == "reached")
@@ -226,6 +229,7 @@ def test_a_box_cannot_be_set_on_the_robot(session):
     assert not session.is_on_robot(box_at(1.0, 0.0))
 
 
+@pytest.mark.slow
 def test_it_rests_when_it_has_nowhere_to_go(session):
     session.clock.factor = 1.0
     wait_for(session, lambda now: now.speed > 0.5)
@@ -234,6 +238,7 @@ def test_it_rests_when_it_has_nowhere_to_go(session):
     wait_for(session, lambda now: now.time_s > 0.1)
 
 
+@pytest.mark.slow
 def test_a_planner_that_dies_is_replaced(session):
     session.go_to(AHEAD)
     wait_for(session, lambda now: now.status == "walking")

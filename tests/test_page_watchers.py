@@ -107,6 +107,7 @@ def test_a_phone_that_is_turned_sees_the_map_anew(served):
     phone.close()
 
 
+@pytest.mark.slow
 def test_a_page_that_begins_where_all_do_is_aimed_again(served):
     """Whether a slow browser hears first where pages begin or where it is to look from is open."""
     served.live()
@@ -234,6 +235,7 @@ def test_a_page_opens_as_quickly_after_ages_as_at_first(served):
     watcher.close()
 
 
+@pytest.mark.slow
 def test_a_robot_that_rests_sends_nothing(served):
     served.session.clock.factor = 1.0
     served.live()

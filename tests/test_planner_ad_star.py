@@ -138,6 +138,7 @@ def test_what_is_kept_of_a_tree_is_what_the_changed_map_allows(seed):
     assert kept > 500
 
 
+@pytest.mark.slow
 def test_a_kept_plan_is_the_oracles_optimum_when_a_door_shuts_and_opens():
     model = small_model()
     _, start, goal = CASES["wall"]

@@ -167,6 +167,7 @@ def test_where_no_path_leads_there_are_no_costs():
     assert lazy[beyond] <= 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_the_heuristic_on_the_way_is_never_above_the_exact_cost(name):
     grid, start, goal = CASES[name]

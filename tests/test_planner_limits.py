@@ -57,6 +57,7 @@ def impatient(monkeypatch):
         monkeypatch.setattr(ara_star, name, value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", first_quick(range(6)))
 def test_the_floods_meet_just_where_the_oracle_finds_a_way(seed):
     grid, rng = random_floor(seed)
