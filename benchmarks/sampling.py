@@ -52,12 +52,20 @@ def main() -> None:
 
 
 def _take_over(ppo, robot) -> None:  # type: ignore[no-untyped-def]
-    """Give the learner the shipped policy's weights: robots that walk, as late in training."""
+    """Give the learner the shipped policy's weights: robots that walk, as late in training.
+
+    A policy of a `SymmetricNetwork` is twice as wide, the network itself in the first half of each
+    layer and half of its output; one from before is a network that is mirrored anyway.
+    """
     modules = [m for m in ppo.get_policy().mlp.modules() if isinstance(m, torch.nn.Linear)]
+    layers = load_policy(robot).layers
+    is_wide = layers[0][0].shape[0] == 2 * modules[0].out_features
     with torch.no_grad():
-        for module, (weight, bias) in zip(modules, load_policy(robot).layers, strict=True):
-            module.weight.copy_(torch.from_numpy(weight))
-            module.bias.copy_(torch.from_numpy(bias))
+        for module, (weight, bias) in zip(modules, layers, strict=True):
+            scale = 2.0 if is_wide and module is modules[-1] else 1.0
+            inner = weight[: module.out_features, : module.in_features]
+            module.weight.copy_(scale * torch.from_numpy(inner))
+            module.bias.copy_(torch.from_numpy(bias[: module.out_features]))
 
 
 def _round(env: RslWalkEnv, ppo, config: PpoConfig) -> tuple[float, float]:  # type: ignore[no-untyped-def]
