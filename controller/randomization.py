@@ -28,11 +28,11 @@ class DomainRandomization:
     A share `undisturbed_share` of the episodes has no noise, latency, push or moved step. Of the
     steps of the others a share `moved_share` moves on level ground, somewhere in the first half of
     its swing, by up to `moved_m` each along x and outward within the step limits, as the recovery
-    from a push may move one. Noise is uniform,
-    drawn at every control step, between minus and plus the episode's amplitude; the amplitude for
-    joint speeds is `joint_speed_noise_per_s` (rad/s per rad) times that of joint positions.
-    Friction, masses, centre of mass and gains are drawn once per segment of training. Tread errors
-    apply in stair episodes except a share `exact_tread_share`.
+    from a push may move one. Noise is uniform, drawn at every control step, between minus and plus
+    the episode's amplitude; the amplitude for joint speeds is `joint_speed_noise_per_s` (rad/s per
+    rad) times that of joint positions. Friction, masses, centre of mass and gains are drawn once
+    per segment of training. Tread errors apply in stair episodes except a share
+    `exact_tread_share`.
 
     Raises:
         ValueError: an invalid range or share, or latency beyond one control step.

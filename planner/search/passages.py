@@ -18,21 +18,13 @@ from numpy.typing import NDArray
 
 from planner.collision import Terrain
 from planner.compiled import njit_no_refcount, zeros
-from planner.lattice.lattice import (
-    COST_UM,
-    D_HALF,
-    D_NODE,
-    HALF_HEADING,
-    Floats,
-    Int64s,
-    Lattice,
-    node_free,
-    pair_known_free,
-)
+from planner.lattice.frame import points_from_grid, poses_to_grid
+from planner.lattice.lattice import Floats, Int64s, Lattice
 from planner.lattice.steps import moved_cells
 from planner.plan import NarrowPlace
 from planner.robot_model import StepModel
 from planner.search.problem import Request
+from planner.search.reachability import BACKWARD, FORWARD, flood, nodes_free
 
 Cells = NDArray[np.int64]
 
@@ -49,11 +41,10 @@ _OUTSIDE, _NEAR_SIDE, _START, _FAR_SIDE, _PASSED = range(5)
 class Passage:
     """The narrowest place of a way, in the grid frame.
 
-    cell: its row and column. ends_m (2, 2): the points x, y where its width meets obstacles.
-    before, behind (n, 2): rows and columns of the way on either side, from the place outward.
+    ends_m (2, 2): the points x, y where its width meets obstacles. before, behind (n, 2): rows and
+    columns of the way on either side, from the place outward.
     """
 
-    cell: tuple[int, int]
     ends_m: Floats
     before: Cells
     behind: Cells
@@ -89,7 +80,7 @@ def narrowest_passage(
     ends_m = _shortest_chord(clearance_m, size_m, row, col)
     if ends_m is None:
         return None
-    return Passage(cell=(row, col), ends_m=ends_m, before=way[:at][::-1], behind=way[at + 1 :])
+    return Passage(ends_m=ends_m, before=way[:at][::-1], behind=way[at + 1 :])
 
 
 def narrow_place(
@@ -252,7 +243,7 @@ def _close(clearance_m: NDArray[np.float32], size_m: float, passage: Passage) ->
     """Takes the cells on the line across a place out of the field."""
     corners = np.rint((passage.ends_m / size_m - 0.5) * 256).astype(int)
     shut = np.zeros(clearance_m.shape, np.uint8)
-    # Four times as wide as a cell is diagonal, so that no way slips through between two cells.
+    # So wide that no way slips through between two cells.
     cv2.line(shut, corners[0].tolist(), corners[1].tolist(), 1, thickness=3, shift=8)
     clearance_m[shut > 0] = 0.0
 
@@ -266,17 +257,27 @@ def _leads_through(request: Request, passage: Passage, before: Cells, behind: Ce
     zone, first = _zones(request, passage, before, behind)
     if zone is None:
         return True
-    rows = 2 * lattice.headings
-    side = len(zone)
-    begin = np.flatnonzero(zone.reshape(-1) == _START)
-    body = (begin // side + first[1]) * lattice.cols + begin % side + first[0]
     body_cell = request.context.tables.potential.cell_offsets(lattice.cols)
-    cell = body[:, None] - body_cell
-    nodes = (cell * rows + np.arange(rows)).reshape(-1)
-    stack = np.empty(len(nodes) + (zone > 0).sum() * rows, np.int32)
-    stack[: len(nodes)] = nodes
+    rows = 2 * lattice.headings
+
+    def nodes_in(*zones: int) -> Int64s:
+        """All nodes (n,) whose body's cell is in one of these zones."""
+        up, across = np.nonzero(np.isin(zone, zones)) + np.array([[first[1]], [first[0]]])
+        inside = (up >= 0) & (up < lattice.rows) & (across >= 0) & (across < lattice.cols)
+        cell = up[inside] * lattice.cols + across[inside]
+        nodes = ((cell[:, None] - body_cell) * rows + np.arange(rows)).reshape(-1)
+        return np.asarray(nodes[(nodes >= 0) & (nodes < lattice.nodes)])
+
     seen = zeros(lattice.nodes, np.uint8)
-    return bool(_flood(lattice, body_cell, zone, first[0], first[1], stack, len(nodes), seen))
+    seen[nodes_in(_OUTSIDE)] = FORWARD  # so that the flood leaves them alone
+    seen[nodes_in(_PASSED)] = BACKWARD
+    seeds = nodes_in(_START)
+    seeds = seeds[nodes_free(lattice, seeds)]
+    seen[seeds] = FORWARD
+    stack = np.empty(zone.size * rows, np.int32)
+    stack[: len(seeds)] = seeds
+    ends = np.array([len(seeds), len(seeds)])
+    return flood(lattice, seen, stack, lattice.steps, FORWARD, ends, 0, zone.size * rows)
 
 
 def _zones(
@@ -284,17 +285,18 @@ def _zones(
 ) -> tuple[NDArray[np.uint8] | None, tuple[int, int]]:
     """Zones (n, n) of the lattice's cells around a place, and the column and row of the first.
 
-    None where the line across the place does not part them.
+    A step from any zone but _OUTSIDE ends in one of these cells. None where the line across the
+    place does not part them.
     """
     lattice = request.lattice
     terrain, size_m = lattice.terrain, lattice.terrain.resolution_m
     middle_m = passage.ends_m.mean(axis=0)
-    reach = math.ceil(_AROUND_M / lattice.cell_m)
-    x, y, cos, sin = lattice.frame
-    dx, dy = middle_m - (x, y)
-    col = round((cos * dx + sin * dy) / lattice.cell_m) + lattice.origin_col
-    row = round((cos * dy - sin * dx) / lattice.cell_m) + lattice.origin_row
-    first = col - reach, row - reach
+    reach = math.ceil((_AROUND_M + _longest_move_m(request)) / lattice.cell_m) + 1
+    across, up = points_from_grid(lattice.frame, *middle_m) / np.array(lattice.cell_m)
+    first = (
+        round(float(across)) + lattice.origin_col - reach,
+        round(float(up)) + lattice.origin_row - reach,
+    )
     row_of, col_of = np.indices((2 * reach + 1, 2 * reach + 1))
     cells = ((row_of + first[1]) * lattice.cols + col_of + first[0]).reshape(-1)
     points_m = _to_grid(lattice, cells)
@@ -340,61 +342,12 @@ def _origin_m(lattice: Lattice) -> Floats:
 
 def _to_grid(lattice: Lattice, cells: Int64s) -> Floats:
     """Points (n, 2) of lattice cells (n,) in the grid frame."""
-    _, _, cos, sin = lattice.frame
     col, row = cells % lattice.cols - lattice.origin_col, cells // lattice.cols - lattice.origin_row
-    turned: Floats = np.column_stack([cos * col - sin * row, sin * col + cos * row])
-    return _origin_m(lattice) + lattice.cell_m * turned
+    points = np.column_stack([col, row, np.zeros(len(cells))]) * lattice.cell_m
+    return poses_to_grid(lattice.frame, points)[:, :2]
 
 
 def _cells_at(terrain: Terrain, points_m: Floats) -> Cells:
     """Rows and columns (n, 2) of points (n, 2) on the map, those off it moved to its rim."""
     cells = np.floor(points_m[:, ::-1] / terrain.resolution_m).astype(np.int64)
     return cells.clip(0, np.array(terrain.blocked.shape) - 1)
-
-
-@njit_no_refcount
-def _flood(
-    lattice: Lattice,
-    body_cell: Int64s,
-    zone: NDArray[np.uint8],
-    first_col: int,
-    first_row: int,
-    stack: NDArray[np.int32],
-    size: int,
-    seen: NDArray[np.uint8],
-) -> bool:
-    """Whether steps within the zones lead from the nodes on the stack to one that has passed."""
-    rows = 2 * lattice.headings
-    steps = lattice.steps
-    kept = 0
-    for k in range(size):
-        node: int = np.int64(stack[k])  # type: ignore[assignment]
-        if node_free(lattice, node):
-            seen[node] = 1
-            stack[kept] = node
-            kept += 1
-    size = kept
-    while size > 0:
-        size -= 1
-        node = np.int64(stack[size])  # type: ignore[assignment]
-        row, cell = node % rows, node // rows
-        half_base = cell // lattice.cols * 4 * lattice.cols + cell % lattice.cols * 2
-        for k in range(steps.shape[1]):
-            if steps[row, k, COST_UM] == 0:
-                continue
-            to = node + steps[row, k, D_NODE]
-            body = to // rows + body_cell[to % rows]
-            up, across = body // lattice.cols - first_row, body % lattice.cols - first_col
-            if up < 0 or across < 0 or up >= len(zone) or across >= len(zone):
-                continue
-            if zone[up, across] == _OUTSIDE or seen[to] or not node_free(lattice, to):
-                continue
-            half = half_base + steps[row, k, D_HALF]
-            if not pair_known_free(lattice, half, steps[row, k, HALF_HEADING]):
-                continue
-            if zone[up, across] == _PASSED:
-                return True
-            seen[to] = 1
-            stack[size] = to
-            size += 1
-    return False

@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_no_refcount, with_room, zeros
+from planner.compiled import njit_arrays, njit_no_refcount, with_room, zeros
 from planner.lattice.lattice import (
     COST_UM,
     D_HALF,
@@ -51,8 +51,7 @@ class Floods:
         self._seen = zeros(lattice.nodes, np.uint8)
         # Stacks of nodes to expand; for each of the two, how many are on it and how many were.
         self._forward = np.unique(seeds).astype(np.int32)
-        free = [goal for goal in goals if node_free(lattice, int(goal))]
-        self._backward = np.array(free, np.int32)
+        self._backward = goals[nodes_free(lattice, goals)].astype(np.int32)
         self._ends = np.repeat([len(self._forward), len(self._backward)], 2)
         self._seen[self._forward] = FORWARD
         self._seen[self._backward] |= BACKWARD
@@ -72,7 +71,7 @@ class Floods:
             ):
                 if self.verdict is not Verdict.OPEN:
                     return self.verdict
-                if _expand(self._lattice, self._seen, stack, steps, mine, self._ends, at, chunk):
+                if flood(self._lattice, self._seen, stack, steps, mine, self._ends, at, chunk):
                     self.verdict = Verdict.MET
                 elif self._ends[at] == 0:
                     self.verdict = dry
@@ -89,8 +88,17 @@ class Floods:
         return f"the goal cannot be reached: obstacles leave no steps {where} ({poses} poses tried)"
 
 
+@njit_arrays
+def nodes_free(lattice: Lattice, nodes: Int64s) -> NDArray[np.bool_]:
+    """`node_free` (n,) of nodes (n,)."""
+    free = np.empty(len(nodes), np.bool_)
+    for i in range(len(nodes)):
+        free[i] = node_free(lattice, nodes[i])
+    return free
+
+
 @njit_no_refcount
-def _expand(
+def flood(
     lattice: Lattice,
     seen: NDArray[np.uint8],
     stack: NDArray[np.int32],
@@ -100,7 +108,11 @@ def _expand(
     at: int,
     budget: int,
 ) -> bool:
-    """Expands up to so many nodes of one flood; whether it met the other."""
+    """Expands up to so many nodes of one flood; whether it met the other.
+
+    stack: its nodes to expand; ends[at]: how many there are, ends[at + 1]: how many were reached.
+    seen (nodes,): marks of both floods; nodes that bear its own mark, `mine`, are left alone.
+    """
     top = ends[at]
     rows = 2 * lattice.headings
     other = 3 - mine
