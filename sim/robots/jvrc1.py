@@ -26,7 +26,7 @@ from sim.robot import (
     RobotStepModel,
     both_legs,
 )
-from sim.solids import Shapes, add_shapes, add_sole, capsule, fix_joint
+from sim.solids import Shapes, add_shapes, add_sole, add_urdf_meshes, capsule, fix_joint
 
 if TYPE_CHECKING:
     import mujoco
@@ -112,8 +112,6 @@ def build() -> mujoco.MjSpec:
 def add_meshes(spec: mujoco.MjSpec) -> None:
     """Dresses the model in the meshes of the package, with joints darker than limbs."""
     import jvrc_description
-
-    from sim.urdf_meshes import add_urdf_meshes
 
     dark, blue = (0.25, 0.27, 0.31, 1.0), (0.16, 0.36, 0.62, 1.0)
     joints = ("HIP_R", "SHOULDER_P", "ELBOW_P", "WRIST_Y")
