@@ -13,7 +13,7 @@ import pytest
 from app.viewer.page import Page, open_page
 from app.viewer.panel import SPEEDS
 from app.viewer.pointer import Tool
-from app.viewer.robot_scene import robot_meshes_of
+from app.viewer.scene import robot_meshes_of
 from benchmarks.page_watcher import Watcher, painted_in_background
 from sim.scene import build_scene
 from tests.scenes import HALL, POLICY, ROBOT, wait_until

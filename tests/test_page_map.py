@@ -11,10 +11,10 @@ import pytest
 import trimesh
 import viser
 
-from app.viewer.map_scene import add_floor, solid
 from app.viewer.markers import Footprints, Marker
 from app.viewer.obstacles import Obstacle, ObstacleEditor, snapped
 from app.viewer.pointer import FLOOR, WALL, Surface, SurfaceHit, surface_of
+from app.viewer.scene import add_floor, solid
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from maps.map_files import load_map

@@ -10,10 +10,10 @@ import pytest
 
 from app.cli import main
 from app.output import ExitCode
-from app.viewer.map_scene import on_floor
 from app.viewer.obstacles import Obstacle, snapped, with_obstacles
 from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, toward
+from app.viewer.scene import on_floor
 from app.viewer.session import SimulationClock
 from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid

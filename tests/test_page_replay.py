@@ -14,7 +14,7 @@ import zstandard
 from app.navigation.navigator import Placed
 from app.pictures.rendering import Recording
 from app.viewer.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
-from app.viewer.robot_scene import robot_meshes_of
+from app.viewer.scene import robot_meshes_of
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import Side

@@ -8,7 +8,7 @@ import numpy as np
 import viser
 
 from app.pictures.canvas import GOAL, LEFT, RIGHT
-from app.viewer.map_scene import FLOOR_RGB, Rgb, blended, quad_faces, turned
+from app.viewer.scene import FLOOR_RGB, Rgb, blended, quad_faces, turned
 from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan, Pose

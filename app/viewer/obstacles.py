@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from app.viewer.map_scene import on_floor
+from app.viewer.scene import on_floor
 from maps.grid import Cell, OccupancyGrid
 from sim.scene import WALL_HEIGHT_M
 

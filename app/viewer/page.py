@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from app.options import load_walker
 from app.viewer.camera import Cameras
-from app.viewer.map_scene import add_floor
 from app.viewer.markers import Footprints, PoseMarkers
 from app.viewer.obstacles import Obstacle, ObstacleEditor
 from app.viewer.panel import Panel
@@ -27,7 +26,7 @@ from app.viewer.pointer import (
     facing,
     surface_of,
 )
-from app.viewer.robot_scene import RobotScene, robot_meshes_of
+from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session
 from app.viewer.snapshot import Notice, Snapshot

@@ -12,8 +12,8 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from app.viewer.map_scene import on_floor
 from app.viewer.obstacles import Obstacle, cells_below
+from app.viewer.scene import on_floor
 from maps.boxes import terraces_of
 from maps.grid import Cell, OccupancyGrid
 from planner.plan import Pose

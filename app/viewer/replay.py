@@ -12,9 +12,8 @@ from app.navigation.navigator import Placed
 from app.output import ProgressBar, write_text
 from app.pictures.rendering import Recording
 from app.viewer.camera import aim_pages, overview
-from app.viewer.map_scene import add_floor
 from app.viewer.markers import Footprints, Marker
-from app.viewer.robot_scene import RobotScene, robot_meshes_of
+from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
