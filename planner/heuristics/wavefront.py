@@ -152,12 +152,10 @@ def _expand(
     plane = lattice.frame, lattice.cell_m, lattice.origin_col, lattice.origin_row
     used, waiting, room = at[USED], at[WAITING], len(cells) - len(move_um)
     while waiting > 0:
-        if at[LAST] < 0:
-            for i in range(len(wanted)):
-                if cost_um[wanted[i]] > 0:
-                    at[LAST] = bucket + (beyond_um >> shift)
-        elif bucket > at[LAST]:
+        if 0 <= at[LAST] < bucket:
             break
+        if at[LAST] < 0 and _any_reached(cost_um, wanted):
+            at[LAST] = bucket + (beyond_um >> shift)
         entry = head[bucket & ring]
         while entry >= 0 and used <= room:
             cell, here = cells[entry], costs[entry]
@@ -234,6 +232,14 @@ def _queue_seeds(
         after[used], head[slot] = head[slot], used
         used += 1
     return Queue(head, cells, costs, after, np.array([shift, low >> shift, -1, used, used]))
+
+
+@njit_no_refcount
+def _any_reached(cost_um: NDArray[np.int32], cells: Int64s) -> bool:
+    highest_um = 0
+    for i in range(len(cells)):
+        highest_um = max(highest_um, cost_um[cells[i]])
+    return highest_um > 0
 
 
 @njit_no_refcount
