@@ -1,4 +1,4 @@
-"""Small floors for tests of the planner, queries on them, robots, and plans made comparable."""
+"""Floors for tests of the planner, queries on them, robots, and plans made comparable."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from planner.lattice.lattice import Lattice
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, to_frame
 from planner.planner import Planner, plan_footsteps
-from planner.robot_model import StepModel
+from planner.robot_model import StepLimits, StepModel
 from planner.search.problem import Request
 from planner.search.reachability import Floods, Verdict
 from tests.planner_oracle import Node, Oracle, lattice_node, small_model
@@ -27,12 +27,23 @@ def first_quick(values: Iterable[Any]) -> list[Any]:
     return [first, *(pytest.param(value, marks=pytest.mark.slow) for value in others)]
 
 
-def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1):
-    """A free floor with blocked boxes (row0, col0, row1, col1), ends excluded."""
+def walled(rows=24, cols=24, boxes=(), origin=(0.0, 0.0, 0.0), resolution_m=0.1, treads=()):
+    """A floor with blocked boxes (row0, col0, row1, col1), ends excluded.
+
+    Treads are such boxes with a height at the end; without any the floor has no heights.
+    """
     cells = np.zeros((rows, cols), np.uint8)
     for row0, col0, row1, col1 in boxes:
         cells[row0:row1, col0:col1] = Cell.OCCUPIED
-    return OccupancyGrid(cells=cells, resolution_m=resolution_m, origin=origin)
+    heights_m = np.zeros((rows, cols))
+    for row0, col0, row1, col1, height_m in treads:
+        heights_m[row0:row1, col0:col1] = height_m
+    return OccupancyGrid(
+        cells=cells,
+        resolution_m=resolution_m,
+        origin=origin,
+        elevation_m=heights_m if treads else None,
+    )
 
 
 FLOOR = walled(30, 40)
@@ -112,6 +123,11 @@ def fine_model(**changes) -> StepModel:
         **changes,
     }
     return small_model(**fields)
+
+
+# Steps of a robot that climbs, and stairs for it.
+CLIMBING = StepLimits(x_m=(-0.2, 0.3), y_m=(0.14, 0.4), yaw_rad=(-0.4, 0.8), z_m=(-0.1, 0.1))
+STAIRS = ((0, 9, 24, 24, 0.1), (0, 12, 24, 24, 0.2), (0, 15, 24, 24, 0.3))
 
 
 def repeatable(plan: FootstepPlan) -> str:

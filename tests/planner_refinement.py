@@ -14,11 +14,11 @@ from planner.planner import plan_footsteps
 from planner.refinement.cost import refinement_problem
 from planner.robot_model import Side
 from planner.verify import violations
-from tests.planner_floor import LATTICE, fine_model, scatter
+from tests.planner_floor import LATTICE, fine_model, scatter, walled
 from tests.planner_oracle import small_model
 
 REFINED = PlannerOptions(refine=True)
-FLOOR = OccupancyGrid(cells=np.zeros((40, 60), np.uint8), resolution_m=0.1)
+FLOOR = walled(40, 60)
 
 
 def shy_model(**changes):
@@ -72,10 +72,8 @@ def assert_laws(grid, model, before, after, stood_freely=True):
 
 def stairs():
     """Treads of 0.3 m that rise by 5 cm from x = 1.5 m on, and a robot that climbs them."""
-    heights = np.zeros((40, 80))
-    for k in range(4):
-        heights[:, 30 + 6 * k :] = 0.05 * (k + 1)
-    grid = OccupancyGrid(cells=np.zeros((40, 80), np.uint8), resolution_m=0.05, elevation_m=heights)
+    treads = [(0, 30 + 6 * k, 40, 80, 0.05 * (k + 1)) for k in range(4)]
+    grid = walled(40, 80, resolution_m=0.05, treads=treads)
     limits = replace(small_model().limits, z_m=(-0.08, 0.08))
     return grid, small_model(limits=limits, cell_m=0.05, headings=16)
 

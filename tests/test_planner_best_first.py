@@ -24,17 +24,21 @@ from planner.search.best_first import (
     start_iteration,
 )
 from planner.search.problem import new_tree
-from tests.planner_floor import fine_model, scatter
-from tests.planner_treads import LIMITS, STAIRS, floor
+from planner.search.reachability import BACKWARD, FORWARD, flood
+from tests.planner_floor import CLIMBING, STAIRS, fine_model, scatter, walled
 
 GOAL = (1.3, 1.2, 0.4)
 ROOT_UM = 5_000_000
-FLAT, TREADS = fine_model(), fine_model(limits=LIMITS, level_margin_m=0.0)
+FLAT, TREADS = fine_model(), fine_model(limits=CLIMBING, level_margin_m=0.0)
+ON_FLOORS_BOTH_WAYS = pytest.mark.parametrize(
+    ("model", "treads", "is_backward"),
+    [(*floor, back) for floor in ((FLAT, ()), (TREADS, STAIRS)) for back in (False, True)],
+)
 
 
 def setting(model, treads, seed):
     """The lattice and the heuristic of a goal among random obstacles."""
-    grid = floor(*treads, rows=24, cols=24)
+    grid = walled(treads=treads)
     cells = np.array(grid.cells)
     scatter(np.random.default_rng(seed), cells, 8, 3)
     cells[9:15, 10:16] = Cell.FREE
@@ -43,6 +47,21 @@ def setting(model, treads, seed):
     lattice = build_lattice(grid, terrain_of(grid, False), model, tables.steps, GOAL)
     cost_um = path_costs_to_goal(lattice, tables.potential, tables.goal_table)
     return lattice, full_heuristic(lattice, tables, cost_um)
+
+
+def free_nodes(lattice, seed):
+    """Some free nodes, far enough from the rim for all steps."""
+    rows = 2 * lattice.headings
+    inner = np.arange(lattice.nodes).reshape(lattice.rows, lattice.cols, rows)[12:-12, 12:-12]
+    drawn = np.random.default_rng(seed).choice(inner.reshape(-1), 400, replace=False)
+    return [int(node) for node in drawn if node_free(lattice, node)]
+
+
+def edges_from(lattice, tree, node):
+    """Cost of the edge to each node to which there is a step; below 0 where it is not allowed."""
+    steps = tree.steps[node % (2 * lattice.headings)]
+    ends = node + steps[steps[:, COST_UM] > 0, D_NODE]
+    return {int(to): edge_cost_um(lattice, tree, node, to) for to in ends}
 
 
 def open_nodes(tree):
@@ -56,25 +75,18 @@ def open_nodes(tree):
     return found
 
 
-@pytest.mark.parametrize("is_backward", [False, True])
-@pytest.mark.parametrize(("model", "treads"), [(FLAT, ()), (TREADS, STAIRS)])
+@ON_FLOORS_BOTH_WAYS
 def test_expansion_reaches_what_the_edges_say_with_keys_by_the_estimate(model, treads, is_backward):
     lattice, heuristic = setting(model, treads, seed=3)
-    rng, epsilon = np.random.default_rng(4), 1.7
-    rows, reached, refused = 2 * lattice.headings, 0, 0
-    inner = np.arange(lattice.nodes).reshape(lattice.rows, lattice.cols, rows)[12:-12, 12:-12]
-    for node in rng.choice(inner.reshape(-1), 400, replace=False):
-        if not node_free(lattice, node):
-            continue
+    epsilon, reached, refused = 1.7, 0, 0
+    for node in free_nodes(lattice, seed=4):
         tree = new_tree(lattice, is_backward)
         insert_roots(tree, np.array([node]), np.array([ROOT_UM]))
         start_iteration(lattice, heuristic, tree, epsilon)
         expand(lattice, heuristic, tree, epsilon, 1)
         assert tree.expansions == 1
         buckets = open_nodes(tree)
-        steps = tree.steps[node % rows]
-        for to in node + steps[steps[:, COST_UM] > 0, D_NODE]:
-            cost_um = edge_cost_um(lattice, tree, node, to)
+        for to, cost_um in edges_from(lattice, tree, node).items():
             if cost_um < 0:
                 refused += 1
                 assert to not in buckets
@@ -82,9 +94,39 @@ def test_expansion_reaches_what_the_edges_say_with_keys_by_the_estimate(model, t
             reached += 1
             key_um = ROOT_UM + cost_um + int(epsilon * estimate(lattice, heuristic, to))
             bucket = (key_um - int(tree.scalars[BASE_UM])) >> int(tree.scalars[SHIFT])
-            assert buckets.pop(int(to)) == min(bucket, BUCKETS - 1)
+            assert buckets.pop(to) == min(bucket, BUCKETS - 1)
         assert not buckets
     assert min(reached, refused) > 40
+
+
+@ON_FLOORS_BOTH_WAYS
+def test_a_flood_reaches_what_the_edges_allow_and_meets_the_other_there(model, treads, is_backward):
+    lattice, _ = setting(model, treads, seed=3)
+    tree, mine = new_tree(lattice, is_backward), BACKWARD if is_backward else FORWARD
+    seen, refused, met = np.zeros(lattice.nodes, np.uint8), 0, 0
+
+    def meets(node):
+        """Whether it meets the other flood by expanding this node, and what it then has to do."""
+        stack, ends = np.full(tree.steps.shape[1], node, np.int32), np.array([1, 1])
+        seen[node] = mine
+        return flood(lattice, seen, stack, tree.steps, mine, ends, 0, 1), stack[: ends[0]], ends
+
+    for node in free_nodes(lattice, seed=5):
+        edges = edges_from(lattice, tree, node)
+        allowed = sorted(to for to, cost_um in edges.items() if cost_um >= 0)
+        has_met, stack, ends = meets(node)
+        assert not has_met
+        assert sorted(stack) == allowed
+        assert ends[1] == 1 + len(allowed)
+        refused += len(edges) - len(allowed)
+        # The other flood has been at one of the ends, or where no step is allowed.
+        for to, cost_um in edges.items():
+            seen[[node, *edges]] = 0
+            seen[to] = 3 - mine
+            assert meets(node)[0] == (cost_um >= 0)
+            met += cost_um >= 0
+        seen[[node, *edges]] = 0
+    assert min(met, refused) > 40
 
 
 def test_nodes_share_a_bin_where_their_decoded_parts_do():

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from maps.grid import OccupancyGrid
 from planner.collision import (
     NO_GROUND_UM,
     box_heights,
@@ -21,9 +20,48 @@ from planner.plan import PlanStatus, feet_at
 from planner.planner import Planner
 from planner.robot_model import Side
 from planner.verify import violations
-from tests.planner_floor import LATTICE, first_quick, floods_meet, plan_on_lattice
+from tests.planner_floor import (
+    CLIMBING,
+    LATTICE,
+    STAIRS,
+    first_quick,
+    floods_meet,
+    plan_on_lattice,
+    walled,
+)
 from tests.planner_oracle import Oracle, small_model
-from tests.planner_treads import CASES, CLIMBER, LIMITS, floor
+
+CLIMBER = small_model(limits=CLIMBING, level_margin_m=0.0)
+
+
+def floor(*treads, **others):
+    return walled(treads=treads, **others)
+
+
+CLIFF = ((0, 11, 24, 24, 0.2), (15, 8, 24, 11, 0.1))
+KERB = ((0, 11, 15, 12, 0.08),)
+CASES = {
+    "stairs": (floor(*STAIRS), (0.45, 1.13, 0.1), (1.93, 1.22, 0.0)),
+    "stairs that no foot fits": (floor(*STAIRS), (0.45, 1.13, 0.1), (1.95, 1.22, 0.4)),
+    "down": (floor(*STAIRS), (1.95, 1.22, 2.9), (0.45, 1.13, 3.0)),
+    "slanted stairs": (
+        floor(*STAIRS, origin=(-1.0, 2.0, 0.6)),
+        (-1.28, 3.17, 0.7),
+        (-0.09, 4.09, 0.8),
+    ),
+    "a cliff with a step beside it": (floor(*CLIFF), (0.5, 0.6, 0.3), (1.75, 0.7, 0.0)),
+    "a kerb to go around": (floor(*KERB), (0.52, 0.6, 0.3), (1.83, 0.71, -0.3)),
+    "a trench": (
+        floor((0, 24, 48, 25, -0.4), rows=48, cols=48, resolution_m=0.05),
+        (0.52, 1.1, 0.0),
+        (1.86, 1.2, 0.0),
+    ),
+    "walls on the treads": (
+        floor(*STAIRS, boxes=((0, 10, 7, 14),)),
+        (0.45, 0.6, 0.1),
+        (1.93, 0.82, 0.0),
+    ),
+}
 
 # Heights by hand: a floor of 4 x 4 m in cells of 0.1 m, 0.3 m high from x = 2 on, a post 1 m high
 # on the cell [1, 1.1) x [1, 1.1), a blocked cell beside it.
@@ -110,7 +148,7 @@ def test_the_cost_is_the_oracles_optimum(name):
 def test_a_kerb_is_stepped_over_if_the_swing_clears_it():
     grid, start, goal = CASES["a kerb to go around"]
     around = plan_on_lattice(grid, CLIMBER, start=start, goal=goal)
-    high = small_model(limits=LIMITS, level_margin_m=0.0, swing_clear_m=0.08, cell_m=0.05)
+    high = small_model(limits=CLIMBING, level_margin_m=0.0, swing_clear_m=0.08, cell_m=0.05)
     over = plan_on_lattice(grid, high, start=start, goal=goal)
     assert max(around.pose_world[:, 1]) > 1.5
     assert max(over.pose_world[:, 1]) < 1.2
@@ -123,7 +161,7 @@ def test_a_kerb_is_stepped_over_if_the_swing_clears_it():
 
 @pytest.mark.parametrize("height_m", [0.0, 0.37, -1.25])
 def test_on_a_level_floor_the_plan_is_the_flat_one_but_for_its_height(height_m):
-    flat = OccupancyGrid(cells=floor(boxes=((0, 11, 15, 12),)).cells, resolution_m=0.1)
+    flat = walled(boxes=((0, 11, 15, 12),))
     level = replace(flat, elevation_m=np.full(flat.shape, height_m))
     for start, goal in (((0.55, 0.6, 0.3), (1.8, 0.7, -1.2)), ((0.5, 2.0, 0.0), (2.0, 2.0, 3.0))):
         one = plan_on_lattice(flat, small_model(), start=start, goal=goal)
@@ -156,7 +194,7 @@ def test_heights_below_walls_mean_nothing():
 def test_rise_and_fall_have_limits_of_their_own():
     grid = floor((0, 12, 24, 24, 0.1))
     low, high = (0.55, 1.2, 0.0), (1.95, 1.2, 0.0)
-    up_only = replace(CLIMBER, limits=replace(LIMITS, z_m=(-0.05, 0.1)))
+    up_only = replace(CLIMBER, limits=replace(CLIMBING, z_m=(-0.05, 0.1)))
     assert plan_on_lattice(grid, up_only, start=low, goal=high).found
     down = plan_on_lattice(grid, up_only, start=high, goal=low)
     assert down.status is PlanStatus.NO_PATH
@@ -166,7 +204,7 @@ def test_rise_and_fall_have_limits_of_their_own():
 @pytest.mark.parametrize("z_m", [(0.01, 0.1), (-0.1, -0.01), (0.1, -0.1)])
 def test_limits_without_level_steps_are_refused(z_m):
     with pytest.raises(ValueError, match="step limits z_m"):
-        replace(LIMITS, z_m=z_m)
+        replace(CLIMBING, z_m=z_m)
 
 
 def test_planning_goes_on_from_feet_measured_on_the_stairs():
@@ -195,7 +233,7 @@ def test_planning_goes_on_from_feet_measured_on_the_stairs():
 )
 def test_a_place_that_is_not_level_is_refused_and_another_offered(goal, reason):
     grid = floor((0, 11, 24, 24, 0.2), (0, 0, 24, 11, 0.0))
-    model = small_model(limits=LIMITS, level_margin_m=0.0, stance_width_m=0.3)
+    model = small_model(limits=CLIMBING, level_margin_m=0.0, stance_width_m=0.3)
     blocked = plan_on_lattice(grid, model, start=(1.8, 0.7, 0.0), goal=goal)
     assert blocked.status is PlanStatus.GOAL_BLOCKED
     assert blocked.reason.startswith(reason)
