@@ -75,8 +75,7 @@ def count_click(counter: FileCounter, grid_file: Path, goal: Pose) -> None:
     grid = read_grid(MapOptions(map=grid_file))
     with watched_page(grid) as (page, watcher):
         clicked(page.session, watcher, *goal[:2])
-        with counter.on():
-            clicked(page.session, watcher, *goal[:2])
+        clicked(page.session, watcher, *goal[:2], meanwhile=counter.on())
     model = get_robot("jvrc1").step_model
     ours, theirs = multiprocessing.Pipe()
     threading.Thread(target=answer_questions, args=(theirs,), daemon=True).start()

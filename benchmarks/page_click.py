@@ -16,6 +16,7 @@ import argparse
 import contextlib
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -76,14 +77,25 @@ def watched_page(grid: OccupancyGrid) -> Iterator[tuple[Page, Watcher]]:
         watcher.close()
 
 
-def clicked(session: Session, watcher: Watcher, x_m: float, y_m: float) -> tuple[float, ...] | None:
-    """Milliseconds, in the order of HEADER; None if that goal is refused."""
+def clicked(
+    session: Session,
+    watcher: Watcher,
+    x_m: float,
+    y_m: float,
+    meanwhile: AbstractContextManager[None] | None = None,
+) -> tuple[float, ...] | None:
+    """Milliseconds, in the order of HEADER; None if that goal is refused.
+
+    The robot is put back to its start first. `meanwhile` is entered for what is measured alone,
+    from the click to the footprints.
+    """
     session.reset()
     wait(lambda: session.snapshot.status == "standing" and session.snapshot.notice is None)
     wait(lambda: is_quiet(watcher))
     began, before = (time.monotonic(), time.process_time(), planner_s(session)), footprints(watcher)
-    watcher.click("/map/slab", (x_m, y_m, ABOVE_M), (0.0, 0.0, -1.0))
-    wait(lambda: footprints(watcher) > before or session.snapshot.notice is not None)
+    with meanwhile or contextlib.nullcontext():
+        watcher.click("/map/slab", (x_m, y_m, ABOVE_M), (0.0, 0.0, -1.0))
+        wait(lambda: footprints(watcher) > before or session.snapshot.notice is not None)
     if session.snapshot.notice is not None:
         return None
     ended = time.monotonic(), time.process_time(), planner_s(session)
