@@ -13,8 +13,8 @@ import numpy as np
 
 from controller.gait import CONTROL_PERIOD_S
 from controller.observation import rotate_xy
+from controller.recovery import moved_within
 from controller.walker import Walker
-from planner.plan import wrap_angle
 from planner.robot_model import Interval, Side
 from sim.batch import SimBatch
 
@@ -189,11 +189,8 @@ class Disturbances:
         support, swing = feet[which, 1 - side], feet[which, side]
         step = rotate_xy(swing - support, -support[:, 3])[:, :2]
         step[:, 1] *= outward
-        moved = step + level * self.config.moved_m * rng.uniform(-1, 1, step.shape)
-        moved = np.clip(moved, (limits.x_m[0], limits.y_m[0]), (limits.x_m[1], limits.y_m[1]))
-        turn = outward * wrap_angle(swing[:, 3] - support[:, 3])
-        fits = limits.contain(np.column_stack([moved, turn]), tolerance=1e-6)
-        change = (moved - step) * fits[:, None]
+        drawn = level * self.config.moved_m * rng.uniform(-1, 1, (len(rows), 2))
+        change = moved_within(limits, step, drawn)
         change[:, 1] *= outward
         cursor.shift(rows, rotate_xy(change, support[:, 3]))
 

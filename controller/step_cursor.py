@@ -131,6 +131,15 @@ class StepCursor:
         later = (step >= self.entry[rows, None]) & (entry <= end)
         self._pose[rows, :, :2] += later[..., None] * offset_m[:, None]
 
+    def hasten(self, rows: np.ndarray, swing_ticks: np.ndarray) -> None:
+        """End the present swings of the robots `rows` (n,) after so many ticks (n,).
+
+        The double support after it is shortened by the same share.
+        """
+        at = rows, self.entry[rows]
+        double = np.rint(self._double[at] * (swing_ticks / self._swing[at])).astype(np.int64)
+        self._swing[at], self._double[at] = swing_ticks, np.maximum(double, 1)
+
     def advance(self) -> np.ndarray:
         """Let one control tick pass; true (B,) where the period of a step has just ended.
 

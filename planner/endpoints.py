@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -108,10 +109,18 @@ class Footing:
     """The ground of one map under the feet of one robot; z is 0 where the map is flat."""
 
     def __init__(self, grid: OccupancyGrid, model: StepModel, unknown_is_free: bool) -> None:
-        self._grid, self._model = grid, model
+        self._grid, self._model, self._unknown_is_free = grid, model, unknown_is_free
         self._terrain: Terrain | None = None
         if grid.elevation_m is not None:
             self._terrain = terrain_of(grid, unknown_is_free)
+
+    @cached_property
+    def _obstacles(self) -> Terrain:
+        return self._terrain or terrain_of(self._grid, self._unknown_is_free)
+
+    def may_stand(self, feet_world: FloatArray) -> bool:
+        """Whether feet (2, 4) and body are free there, and the ground level and of one height."""
+        return not what_blocks(self._grid, self._obstacles, self._model, feet_world)
 
     def at_rest(self, feet_world: FloatArray) -> FloatArray:
         """Feet (n, 4) x, y, z, yaw with z the height of the ground that each rests on."""

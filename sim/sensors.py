@@ -27,6 +27,8 @@ class Sensors:
     head_pos_world: np.ndarray  # (3,)
     pelvis_pos_world: np.ndarray  # (3,)
     pelvis_linvel_world: np.ndarray  # (3,)
+    com_pos_world: np.ndarray  # (3,) of the whole robot
+    com_linvel_world: np.ndarray  # (3,)
     legs_touching: np.ndarray  # (1,) number of contacts between the legs
     wall_contacts: np.ndarray  # (1,) number of contacts between robot and walls
     joint_torque: np.ndarray  # (J,)
@@ -50,6 +52,8 @@ class Sensors:
             head_pos_world=at("head_pos"),
             pelvis_pos_world=at("pelvis_pos"),
             pelvis_linvel_world=at("pelvis_linvel"),
+            com_pos_world=at("com_pos"),
+            com_linvel_world=at("com_linvel"),
             legs_touching=at("legs_touching"),
             wall_contacts=at("wall_contacts"),
             joint_torque=np.concatenate([at(f"{j.name}_torque") for j in robot.joints]),
@@ -93,6 +97,8 @@ def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
     add("head_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, "head")
     add("pelvis_pos", sensor.mjSENS_FRAMEPOS, body, "pelvis")
     add("pelvis_linvel", sensor.mjSENS_FRAMELINVEL, body, "pelvis")
+    add("com_pos", sensor.mjSENS_SUBTREECOM, objects.mjOBJ_BODY, "pelvis")
+    add("com_linvel", sensor.mjSENS_SUBTREELINVEL, objects.mjOBJ_BODY, "pelvis")
     found = mujoco.mjtConDataField.mjCONDATA_FOUND
     contact("legs_touching", found, (body, "right_leg"), objtype=body, objname="left_leg")
     contact("wall_contacts", found, (body, "walls"), objtype=body, objname="pelvis")

@@ -47,6 +47,7 @@ def test_the_document_is_the_agreed_one():
         "steps_planned": 31,
         "steps_taken": 31,
         "replans": 0,
+        "recovery_steps": 0,
         "foot_error_m": {"median": 0.02, "p95": 0.05, "max": 0.07},
         "min_clearance_m": 0.21,
         "planning_time_s": 0.05,

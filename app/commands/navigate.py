@@ -22,6 +22,7 @@ from app.options import (
     PaceOption,
     PlanningOptions,
     Pose,
+    PushOption,
     Reach,
     load_walker,
     read_grid,
@@ -59,6 +60,9 @@ class NavigateOptions(PlanningOptions, GoalOptions):
 
     pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
+
+    push: PushOption = 0.0
+    """Push the robot by so many N s every 3 to 5 seconds of the walk, from anywhere, such as 10."""
 
     out: FolderOption = Path("runs/navigate")
     """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
@@ -159,7 +163,7 @@ def walked(
         start=options.start,
         goal=options.goal,
         seed=options.seed,
-        config=NavigatorConfig(planner=options.search, pace=options.pace),
+        config=NavigatorConfig(planner=options.search, pace=options.pace, push_n_s=options.push),
     )
     plan = navigator.plan()
     with ProgressBar("walking, steps", len(plan)) as bar:

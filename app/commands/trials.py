@@ -19,6 +19,7 @@ from app.options import (
     FolderOption,
     PaceOption,
     PlanningOptions,
+    PushOption,
     WorkersOption,
     find_robot_with_limits,
     load_walker,
@@ -51,6 +52,9 @@ class TrialsOptions(PlanningOptions):
 
     pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
+
+    push: PushOption = 0.0
+    """Push the robot by so many N s every 3 to 5 seconds of the walk, from anywhere, such as 10."""
 
     workers: WorkersOption = 0
     """Processes that walk, such as 2; 0 for all cores."""
@@ -145,13 +149,16 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
-        config=NavigatorConfig(planner=planner, pace=options.pace),
+        config=NavigatorConfig(planner=planner, pace=options.pace, push_n_s=options.push),
     )
     navigator.plan()
     while navigator.outcome is None:
         navigator.tick()
     report = navigator.report()
-    told = ("goal_error_m", "goal_error_rad", "steps_planned", "steps_taken", "replans")
+    told = (
+        *("goal_error_m", "goal_error_rad"),
+        *("steps_planned", "steps_taken", "replans", "recovery_steps"),
+    )
     return {
         "number": trial.number,
         "start": list(trial.start),
@@ -178,6 +185,7 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         **{str(outcome): outcomes.get(str(outcome), 0) for outcome in Outcome},
         "steps_taken": len(errors),
         "replans": sum(result["replans"] for result in results),
+        "recovery_steps": sum(result["recovery_steps"] for result in results),
         "foot_error_m": _percentiles(errors),
         "goal_error_m": _percentiles(goals),
         "min_clearance_m": min(clearances, default=None),
@@ -208,7 +216,8 @@ def table(summary: Mapping[str, Any]) -> str:
     for outcome in Outcome:
         count = summary[str(outcome)]
         rows[str(outcome)] = f"{count} ({100 * count / walks:.1f} %)"
-    rows |= {"steps taken": f"{summary['steps_taken']}", "replans": f"{summary['replans']}"}
+    rows["steps taken"] = f"{summary['steps_taken']}, {summary['recovery_steps']} against a push"
+    rows["replans"] = f"{summary['replans']}"
     for key, title in (("foot_error_m", "feet from their steps"), ("goal_error_m", "goal missed")):
         if summary[key] is not None:
             rows[title] = ", ".join(f"{100 * v:.1f} cm {name}" for name, v in summary[key].items())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -17,8 +17,10 @@ from app.navigation.report import (
     installed_versions,
 )
 from controller.evaluation.gait_summary import GaitRecorder
+from controller.evaluation.push_recovery import Push
 from controller.gait import CONTROL_PERIOD_S, step_durations_s
 from controller.policy import Policy
+from controller.recovery import change_steps, step_change
 from controller.step_cursor import StepSequence
 from controller.walker import Walker
 from maps.grid import OccupancyGrid
@@ -32,11 +34,18 @@ from sim.scene import min_clearance_m, scene_of
 
 GOAL_TOLERANCE_M = 0.10
 GOAL_TOLERANCE_RAD = math.radians(10.0)
+_PUSH_EVERY_S = (3.0, 5.0)
+_PUSHES = 1  # makes their draws differ from those of the joints' noise
+# Shares of the move of a step that are tried when the whole of it would end on an obstacle.
+_MOVE_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class NavigatorConfig:
-    """When to plan again, when to give up, and the `pace` of the steps, one of `PACES`."""
+    """When to plan again, when to give up, the `pace` of the steps, one of `PACES`, and pushes.
+
+    The pelvis is pushed by `push_n_s` over 0.1 s in a direction drawn anew, every 3 to 5 s.
+    """
 
     replan_error_m: float = 0.06
     replan_error_rad: float = 0.20
@@ -49,6 +58,7 @@ class NavigatorConfig:
     spare_time_s: float = 10.0
     joint_noise_rad: float = 0.01
     pace: str = "normal"
+    push_n_s: float = 0.0
     planner: PlannerOptions = field(default_factory=PlannerOptions)
 
 
@@ -92,6 +102,7 @@ class Navigator:
     Poses are x_m, y_m, yaw_rad in the world; time passes only in `tick()`. `plans` holds all plans
     that were made, `followed` those that were walked, each with the time at which it was taken up,
     `placed` each step as asked for and as placed, `qpos` the robot's state at each control step.
+    `recovery_steps` is how many steps were moved or hastened against a push.
     """
 
     def __init__(
@@ -130,6 +141,10 @@ class Navigator:
         self.qpos: list[np.ndarray] = [qpos.copy()]
         self.outcome: Outcome | None = None
         self.reason = ""
+        self.recovery_steps = 0
+        self._recovers = False
+        self._pushes = _draw_pushes(self.config.push_n_s, seed)
+        self._push = next(self._pushes, None)
         self._still_ticks = 0
         self._arrived_ticks = 0
         self._deadline_s = 0.0
@@ -176,6 +191,7 @@ class Navigator:
             steps_planned=len(self.plans[0]) if self.plans else 0,
             steps_taken=len(self.placed),
             replans=self.replans,
+            recovery_steps=self.recovery_steps,
             foot_error_m=Percentiles.of([placed.error_m for placed in self.placed]),
             min_clearance_m=self.min_clearance_m if walked else None,
             planning_time_s=self.planning_time_s,
@@ -208,6 +224,8 @@ class Navigator:
 
     def tick(self) -> None:
         """One control step: act, look for the end of the walk, and plan again where needed."""
+        self._be_pushed()
+        self._recover()
         cursor = self.walker.cursor
         side = Side(int(cursor.side[0]))
         asked = cursor.foot_targets[0, side].copy()
@@ -228,13 +246,52 @@ class Navigator:
         elif self.time_s > self._deadline_s:
             self._end(Outcome.TIMED_OUT, f"still walking after {self.time_s:.0f} s")
 
+    def _be_pushed(self) -> None:
+        """Apply the push that is due, or its end."""
+        if self._push is None:
+            return
+        tick = len(self.qpos) - 1
+        force_world_n = self._push.force_world_n if self._push.acts(tick) else (0.0, 0.0, 0.0)
+        self.walker.sim.push(np.array([force_world_n]))
+        if self._push.is_over(tick):
+            self._push = next(self._pushes)
+
+    def _recover(self) -> None:
+        """Change the present step where a push needs it, but never move it onto an obstacle.
+
+        On stairs the treads say where a foot can stand, and the policy is left alone.
+        """
+        change = step_change(self.walker)
+        if not change.needed[0]:
+            return
+        cursor = self.walker.cursor
+        side, feet = cursor.side[0], cursor.foot_targets[0]
+        heights_m = [*feet[:, 2], cursor.lift_off_poses[0, 2]]
+        if max(heights_m) - min(heights_m) > self.robot.step_model.level_m:
+            return
+        offset_m = change.offset_world_m[0].copy()
+        for share in _MOVE_SHARES:
+            moved = feet.copy()
+            moved[side, :2] += share * offset_m
+            change.offset_world_m[0] = share * offset_m
+            if share == 0 or self._footing.may_stand(moved):
+                break
+        sooner = change.swing_ticks[0] < cursor.ticks.swing[0]
+        if not (sooner or change.offset_world_m[0].any()):
+            return
+        change_steps(self.walker, change)
+        self.recovery_steps += not self._recovers
+        self._recovers = True
+
     def _landed(self, placed: Placed) -> None:
-        """Note where a foot came to rest; plan again when it is too far from its step."""
+        """Note where a foot came to rest; plan again when that is not where the plan goes on."""
         self.placed.append(placed)
         config = self.config
         off_z_m = abs(float(placed.placed_world[2] - placed.asked_world[2]))
         near = placed.error_m <= config.replan_error_m and off_z_m <= config.replan_error_z_m
-        if (near and placed.error_rad <= config.replan_error_rad) or self._out_of_replans():
+        as_planned = near and placed.error_rad <= config.replan_error_rad and not self._recovers
+        self._recovers = False
+        if as_planned or self._out_of_replans():
             return
         if self.walker.cursor.arrived[0]:
             return  # settling measures the goal itself
@@ -320,3 +377,16 @@ class Navigator:
 
     def _end(self, outcome: Outcome, reason: str) -> None:
         self.outcome, self.reason = outcome, reason
+
+
+def _draw_pushes(impulse_ns: float, seed: int) -> Iterator[Push]:
+    """One push after the other; none of no impulse."""
+    rng, time_s = np.random.default_rng((seed, _PUSHES)), 0.0
+    while impulse_ns > 0:
+        time_s += rng.uniform(*_PUSH_EVERY_S)
+        angle = rng.uniform(-math.pi, math.pi)
+        yield Push(
+            impulse_ns=impulse_ns,
+            direction=(math.cos(angle), math.sin(angle)),
+            begins_tick=round(time_s / CONTROL_PERIOD_S),
+        )

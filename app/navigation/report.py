@@ -23,8 +23,9 @@ from planner.plan import NarrowPlace
 
 FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
-# Left out where a walk is too short to have a gait, or no place too narrow.
-_OPTIONAL = ("gait", "narrow_place")
+# Left out where a walk is too short to have a gait, or no place too narrow; older reports do not
+# have the last.
+_OPTIONAL = ("gait", "narrow_place", "recovery_steps")
 PoseTuple = tuple[float, float, float]
 
 
@@ -83,6 +84,7 @@ class NavigationReport:
     What was not measured, because the robot never walked, is None. Poses are x_m, y_m, yaw_rad
     in the map frame; `goal_error_rad` is the size of the error in heading. `foot_error_m` are
     distances between the places where feet came to rest and those of their steps.
+    `recovery_steps` were moved or hastened against a push.
     """
 
     outcome: Outcome
@@ -92,6 +94,7 @@ class NavigationReport:
     steps_planned: int = 0
     steps_taken: int = 0
     replans: int = 0
+    recovery_steps: int = 0
     foot_error_m: Percentiles | None = None
     min_clearance_m: float | None = None
     planning_time_s: float = 0.0
@@ -164,8 +167,10 @@ class NavigationReport:
         if self.goal_error_m is not None and self.goal_error_rad is not None:
             degrees = math.degrees(self.goal_error_rad)
             lines.append(f"from the goal: {100 * self.goal_error_m:.1f} cm, {degrees:.1f} degrees")
+        recovered = f", {self.recovery_steps} against a push" if self.recovery_steps else ""
         lines.append(
-            f"steps: {self.steps_taken} taken, {self.steps_planned} planned, {self.replans} replans"
+            f"steps: {self.steps_taken} taken{recovered}, {self.steps_planned} planned, "
+            f"{self.replans} replans"
         )
         if self.foot_error_m is not None:
             error = self.foot_error_m

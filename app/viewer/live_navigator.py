@@ -104,7 +104,7 @@ class LiveNavigator(Navigator):
             return False
         if fresh:
             self.plans, self.placed, self.followed = [], [], []
-            self.qpos = [self.qpos[-1]]
+            self.qpos, self.recovery_steps = [self.qpos[-1]], 0
             self._gait = GaitRecorder(self.walker)
         self.goal, self.outcome, self.reason = tuple(goal), None, ""
         self.going, self.halted, self.idle_s = True, False, 0.0

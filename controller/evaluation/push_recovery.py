@@ -11,6 +11,7 @@ import numpy as np
 from controller.evaluation.rollouts import chained, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
+from controller.recovery import SHORTEST_SWING_S, change_steps, step_change
 from controller.step_cursor import StepSequence
 from sim.robot import Robot
 
@@ -44,7 +45,11 @@ class Push:
 
     def acts(self, tick: int) -> bool:
         """Whether it pushes during control step `tick`."""
-        return 0 <= tick - self.begins_tick < round(PUSH_S / CONTROL_PERIOD_S)
+        return self.begins_tick <= tick and not self.is_over(tick)
+
+    def is_over(self, tick: int) -> bool:
+        """Whether it has ended before control step `tick`."""
+        return tick - self.begins_tick >= round(PUSH_S / CONTROL_PERIOD_S)
 
 
 def push_recovery(
@@ -56,10 +61,12 @@ def push_recovery(
     count: int,
     seed: int,
     threads: int = 1,
+    moves_steps: bool = True,
 ) -> list[float]:
     """Share of `count` robots that are upright at the end, per impulse.
 
     All walk straight along the world's x and are pushed once, at a time uniform over a gait cycle.
+    With `moves_steps` their steps change as `navigate` changes them on free ground.
     """
     rng = np.random.default_rng(seed)
     cycle_s = 2 * robot.gait.step_s
@@ -75,7 +82,7 @@ def push_recovery(
     stayed = []
     for rows, part_seed in portions(len(pushes), seed):
         part = [pushes[row] for row in rows]
-        stayed.append(_walk_pushed(robot, policy, part, part_seed, threads))
+        stayed.append(_walk_pushed(robot, policy, part, part_seed, threads, moves_steps))
     shares = np.concatenate(stayed).reshape(len(impulses_ns), count).mean(axis=1)
     return [float(share) for share in shares]
 
@@ -86,9 +93,10 @@ def _walk_pushed(
     pushes: Sequence[Push],
     seed: np.random.SeedSequence,
     threads: int,
+    moves_steps: bool,
 ) -> np.ndarray:
     """Which robots (B,) are upright at the end of the walk."""
-    steps = int(PUSH_WALK_S / robot.gait.step_s) + 2
+    steps = int(PUSH_WALK_S / SHORTEST_SWING_S) + 2
     width_m = robot.step_model.stance_width_m
     ahead_m = robot.step_model.limits.most_x_m(width_m)
 
@@ -104,4 +112,6 @@ def _walk_pushed(
         upright, coming = tick.upright, tick.number + 1
         forces = [push.force_world_n if push.acts(coming) else still for push in pushes]
         walker.sim.push(np.array(forces))
+        if moves_steps:
+            change_steps(walker, step_change(walker))
     return upright
