@@ -15,10 +15,11 @@ from controller.evaluation.step_limits import (
     BodySway,
     LimitTrial,
     StepWalks,
+    beyond_box_m,
     cut_back,
-    half_extent,
     limit_corners,
     search_limits,
+    spheres_around,
     step_grid,
 )
 from controller.policy import Policy, PolicyError, load_policy, save_policy
@@ -206,35 +207,47 @@ def test_the_grid_of_steps_goes_through_stepping_in_place():
         assert np.isclose(kinds, step).all(axis=1).any()
 
 
-def test_extents_of_shapes_by_hand():
-    scene = build_scene(ROBOT, timestep_s=0.001)
-    model = scene.model
+def test_spheres_around_shapes_by_hand():
+    model = build_scene(ROBOT, timestep_s=0.001).model
     head = model.geom("head").id
-    radius, half = model.geom_size[head, :2]
-    along_and_across = np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]])
-    assert half_extent(model, head, along_and_across) == pytest.approx([radius + half, radius])
+    radius_m, half_m = model.geom_size[head, :2]
+    centres, told_m = spheres_around(model, head)
+    assert told_m == radius_m
+    assert np.unique(centres, axis=0).tolist() == [[0, 0, -half_m], [0, 0, half_m]]
     foot = model.geom("left_foot").id
-    size = model.geom_size[foot]
-    diagonal = np.array([[0.6], [0.8], [0.0]])
-    assert half_extent(model, foot, diagonal) == pytest.approx([0.6 * size[0] + 0.8 * size[1]])
+    centres, told_m = spheres_around(model, foot)
+    assert told_m == 0.0
+    assert len(np.unique(centres, axis=0)) == 8
+    assert np.abs(centres) == pytest.approx(np.tile(model.geom_size[foot], (8, 1)))
+
+
+def test_distances_beyond_a_box_by_hand():
+    points = np.array([[0.5, 0.0], [-0.2, 0.1], [0.2, -0.7], [0.6, 0.8], [-0.6, -0.8]])
+    half_m, expected_m = np.array([0.3, 0.4]), [0.2, -0.1, 0.3, 0.5, 0.5]
+    assert beyond_box_m(points, np.zeros(3), half_m) == pytest.approx(expected_m)
+    # The same, all turned by a quarter and moved.
+    turned = np.column_stack([1.0 - points[:, 1], 2.0 + points[:, 0]])
+    there = np.array([1.0, 2.0, np.pi / 2])
+    assert beyond_box_m(turned, there, half_m) == pytest.approx(expected_m)
 
 
 def test_reach_is_measured_from_the_nearer_stance():
     scene = build_scene(ROBOT, timestep_s=0.001)
-    reach = BodySway(scene, ROBOT.step_model.body)
+    sway = BodySway(scene, ROBOT.step_model.body)
     feet = scene.soles_at(scene.standing_qpos)
-    assert "head" in reach.names
-    assert "left_foot" not in reach.names
+    assert "head" in sway.names
+    assert "left_foot" not in sway.names
 
     def shifted(*by_m: float) -> np.ndarray:
         return np.stack([feet + np.array([x, 0.0, 0.0, 0.0]) for x in by_m])
 
-    standing = reach.beyond_m(scene.standing_qpos, shifted(0, 0))
+    standing = sway.beyond_m(scene.standing_qpos, shifted(0, 0))
     assert (standing <= 0.0).all(), "the box holds the robot in half-sitting"
-    far = reach.beyond_m(scene.standing_qpos, shifted(-3, -3))
-    assert reach.beyond_m(scene.standing_qpos, shifted(-4, -4)) == pytest.approx(far + 1)
-    assert reach.beyond_m(scene.standing_qpos, shifted(-4, -3)) == pytest.approx(far)
+    far = sway.beyond_m(scene.standing_qpos, shifted(-3, -3))
+    # Shapes within the box's width are straight ahead of it.
+    assert sway.beyond_m(scene.standing_qpos, shifted(-4, -4)) == pytest.approx(far + 1)
+    assert sway.beyond_m(scene.standing_qpos, shifted(-4, -3)) == pytest.approx(far)
     # The same, all turned: nothing depends on which way the robot faces.
     turned = scene.qpos_at(np.array([0.5, -0.2, 2.0]))
     at = scene.soles_at(turned)
-    assert reach.beyond_m(turned, np.stack([at, at])) == pytest.approx(standing)
+    assert sway.beyond_m(turned, np.stack([at, at])) == pytest.approx(standing)

@@ -297,8 +297,8 @@ FEET = ("left_foot", "right_foot")
 class BodySway:
     """Measures how far the collision shapes above the feet leave the plan's body boxes.
 
-    The planner keeps a box around each pair of feet off the walls, grown by `body_margin_m`,
-    which must cover this sway.
+    The planner keeps a box around each pair of feet `body_margin_m` off the walls, which must cover
+    this sway.
     """
 
     def __init__(self, scene: Scene, body: BodyShape):
@@ -311,9 +311,12 @@ class BodySway:
             if model.geom_group[k] == PHYSICS_GROUP and model.geom(k).name not in FEET
         ]
         self.names = [model.geom(k).name for k in self._geoms]
+        spheres = [spheres_around(model, k) for k in self._geoms]
+        self._centres = np.array([centres for centres, _ in spheres])
+        self._radius_m = np.array([radius_m for _, radius_m in spheres])
 
     def beyond_m(self, qpos: np.ndarray, stances: np.ndarray) -> np.ndarray:
-        """Distance (G,) of each shape beyond the nearest box; negative is within.
+        """Distance (G,) of each shape's farthest point from the nearest box; negative is within.
 
         Args:
             qpos: the robot's state (nq,).
@@ -321,31 +324,36 @@ class BodySway:
         """
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
-        return np.min([self._beyond_box(pair_pose(feet)) for feet in stances], axis=0)
-
-    def _beyond_box(self, pose: np.ndarray) -> np.ndarray:
-        """Distance (G,) of each shape beyond the box at a pair pose (3,), greater of two axes."""
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
-        axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0]])
-        half = np.array([self._body.length_m, self._body.width_m]) / 2
-        offset = self._data.geom_xpos[self._geoms] - [pose[0], pose[1], 0.0]
-        centre = np.abs(offset @ axes.T)
-        turned = np.abs(
-            self._data.geom_xmat[self._geoms].reshape(-1, 3, 3).transpose(0, 2, 1) @ axes.T
-        )
-        reach = [half_extent(self._model, k, turned[i]) for i, k in enumerate(self._geoms)]
-        return np.asarray((centre + np.array(reach) - half).max(axis=1))
+        rotation = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        centres = self._data.geom_xpos[self._geoms][:, None] + self._centres @ rotation.mT
+        half_m = np.array([self._body.length_m, self._body.width_m]) / 2
+        beyond_m = [
+            beyond_box_m(centres[..., :2], pair_pose(feet), half_m).max(axis=-1) for feet in stances
+        ]
+        return np.asarray(np.min(beyond_m, axis=0) + self._radius_m)
 
 
-def half_extent(model: mujoco.MjModel, geom: int, direction: np.ndarray) -> np.ndarray:
-    """Half the width (n,) of a shape along directions (3, n) given in its own axes, absolute.
+def beyond_box_m(points: np.ndarray, pose: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """Distance (...) of points (..., 2) from a box of half extents (2,) at a pose (3,).
 
-    Exact for spheres, capsules and boxes; of others the bounding box is taken.
+    Negative inside: how far it is to the nearest side.
+    """
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    beyond_m = np.abs((points - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])) - half_m
+    outside_m = np.hypot(*np.moveaxis(np.maximum(beyond_m, 0.0), -1, 0))
+    return np.asarray(outside_m + np.minimum(beyond_m.max(axis=-1), 0.0))
+
+
+def spheres_around(model: mujoco.MjModel, geom: int) -> tuple[np.ndarray, float]:
+    """Centres (8, 3) in a shape's own axes and radius of spheres whose hull holds the shape.
+
+    Exactly the shape for spheres, capsules and boxes; of others the bounding box.
     """
     size, kind = model.geom_size[geom], model.geom_type[geom]
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return np.full(direction.shape[1], size[0])
+        return np.zeros((8, 3)), float(size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return size[0] + size[1] * direction[2]
+        return signs * [0.0, 0.0, size[1]], float(size[0])
     centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-    return (np.abs(centre) + half) @ direction
+    return centre + signs * half, 0.0
