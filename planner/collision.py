@@ -1,4 +1,4 @@
-"""Exact collision check of oriented boxes against the blocked cells of a map, compiled."""
+"""Exact collision check of oriented rounded boxes against the blocked cells of a map, compiled."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid, distance_field
 from planner.compiled import njit_no_refcount
-from planner.robot_model import StepModel, half_box
+from planner.robot_model import RoundedBox, StepModel, rounded_box
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
 CONTACT_M = 1e-9
@@ -82,26 +82,56 @@ def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: f
 
 
 @njit_no_refcount
-def box_free(
-    terrain: Terrain, x: float, y: float, cos: float, sin: float, half_l: float, half_w: float
-) -> bool:
-    """Whether a box with its centre at (x, y) keeps off every blocked cell and the map's edge.
+def radius_of(box: RoundedBox) -> float:
+    """Radius of the circle around a rounded box, a hair more."""
+    return math.sqrt(box[0] * box[0] + box[1] * box[1]) + box[2] + 1e-6
 
-    Exact: cells and box are compared along the axes of both (two rectangles overlap unless one of
-    these four axes separates them). Cells that the distance field proves free are skipped.
+
+@njit_no_refcount
+def corner_gap(
+    dx: float, dy: float, half: float, cos: float, sin: float, half_l: float, half_w: float
+) -> tuple[int, float, float]:
+    """Which corner of a box, seen from its centre, faces a corner of a cell, and the gap x, y.
+
+    The cell's centre is at (dx, dy) from that of the box, half is half its size. -1, 0, 0 unless
+    box and cell are nearest to each other at two corners: each is the other shape's nearest point
+    to it, which for convex shapes holds nowhere else. Corner k is ahead unless k & 1, on the left
+    unless k & 2.
     """
-    radius = math.sqrt(half_l * half_l + half_w * half_w) + CONTACT_M
-    if point_clearance(terrain, x, y) > radius:
+    for k in range(4):
+        ahead, left = 1.0 - 2.0 * (k & 1), 1.0 - (k & 2)
+        x = cos * ahead * half_l - sin * left * half_w
+        y = sin * ahead * half_l + cos * left * half_w
+        if abs(dx - x) <= half or abs(dy - y) <= half:
+            continue
+        gap_x = dx - x - (half if dx > x else -half)
+        gap_y = dy - y - (half if dy > y else -half)
+        along, across = cos * gap_x + sin * gap_y, cos * gap_y - sin * gap_x
+        if ahead * along >= 0.0 and left * across >= 0.0:
+            return k, gap_x, gap_y
+    return -1, 0.0, 0.0
+
+
+@njit_no_refcount
+def box_free(terrain: Terrain, x: float, y: float, cos: float, sin: float, box: RoundedBox) -> bool:
+    """Whether a rounded box with its centre at (x, y) keeps off blocked cells and the map's edge.
+
+    Exact: cells and box are compared along the axes of both. The distance of two rectangles is the
+    greatest of their gaps along these four axes, unless they are nearest at two corners. Cells that
+    the distance field proves free are skipped.
+    """
+    if point_clearance(terrain, x, y) > radius_of(box):
         return True
+    half_l, half_w, radius = box[0], box[1], box[2] + CONTACT_M
     rows, cols = terrain.blocked.shape
     size = terrain.resolution_m
-    reach_x = abs(cos) * half_l + abs(sin) * half_w + CONTACT_M
-    reach_y = abs(sin) * half_l + abs(cos) * half_w + CONTACT_M
+    reach_x = abs(cos) * half_l + abs(sin) * half_w + radius
+    reach_y = abs(sin) * half_l + abs(cos) * half_w + radius
     row0, row1 = math.floor((y - reach_y) / size), math.floor((y + reach_y) / size)
     col0, col1 = math.floor((x - reach_x) / size), math.floor((x + reach_x) / size)
     if row0 < 0 or col0 < 0 or row1 >= rows or col1 >= cols:
         return False
-    cell_reach = 0.5 * size * (abs(cos) + abs(sin)) + CONTACT_M
+    cell_reach = 0.5 * size * (abs(cos) + abs(sin)) + radius
     for row in range(row0, row1 + 1):
         dy = (row + 0.5) * size - y
         col = col0
@@ -111,7 +141,9 @@ def box_free(
                 along = abs(cos * dx + sin * dy)
                 across = abs(cos * dy - sin * dx)
                 if along <= half_l + cell_reach and across <= half_w + cell_reach:
-                    return False
+                    _, gap_x, gap_y = corner_gap(dx, dy, 0.5 * size, cos, sin, half_l, half_w)
+                    if gap_x * gap_x + gap_y * gap_y <= radius * radius:
+                        return False
                 col += 1
             else:
                 # No blocked ground within this distance, so the next cells are free as well.
@@ -134,12 +166,12 @@ def heights_below(
     if terrain.is_flat:
         return np.zeros((len(feet_world), 2))
     margin_m = model.level_margin_m if margin_m is None else margin_m
-    half_l, half_w = half_box(model.foot, margin_m)
+    box = rounded_box(model.foot, margin_m)
     heights = np.empty((len(feet_world), 2))
     for i, (x_m, y_m, z_m, yaw_rad) in enumerate(feet_world):
         x, y = (float(v) for v in grid.world_to_grid((x_m, y_m)))
         yaw = yaw_rad - grid.origin[2]
-        low, high = box_heights(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w)
+        low, high = box_heights(terrain, x, y, math.cos(yaw), math.sin(yaw), box)
         heights[i] = (z_m, z_m) if low == NO_GROUND_UM else (low / 1e6, high / 1e6)
     return heights
 
@@ -158,20 +190,21 @@ def resting_heights(
 
 @njit_no_refcount
 def box_heights(
-    terrain: Terrain, x: float, y: float, cos: float, sin: float, half_l: float, half_w: float
+    terrain: Terrain, x: float, y: float, cos: float, sin: float, box: RoundedBox
 ) -> tuple[int, int]:
-    """Lowest and highest floor in micrometres of the cells that a box touches.
+    """Lowest and highest floor in micrometres of the cells that a rounded box touches.
 
     Blocked cells and what is off the map do not count; both are NO_GROUND_UM where nothing else is
     under the box. The terrain must not be flat.
     """
+    half_l, half_w, radius = box[0], box[1], box[2] + CONTACT_M
     rows, cols = terrain.blocked.shape
     size = terrain.resolution_m
-    reach_x = abs(cos) * half_l + abs(sin) * half_w + CONTACT_M
-    reach_y = abs(sin) * half_l + abs(cos) * half_w + CONTACT_M
+    reach_x = abs(cos) * half_l + abs(sin) * half_w + radius
+    reach_y = abs(sin) * half_l + abs(cos) * half_w + radius
     row0, row1 = math.floor((y - reach_y) / size), math.floor((y + reach_y) / size)
     col0, col1 = math.floor((x - reach_x) / size), math.floor((x + reach_x) / size)
-    cell_reach = 0.5 * size * (abs(cos) + abs(sin)) + CONTACT_M
+    cell_reach = 0.5 * size * (abs(cos) + abs(sin)) + radius
     low, high = NO_GROUND_UM, NO_GROUND_UM
     for row in range(max(row0, 0), min(row1, rows - 1) + 1):
         dy = (row + 0.5) * size - y
@@ -183,6 +216,9 @@ def box_heights(
             along = abs(cos * dx + sin * dy)
             across = abs(cos * dy - sin * dx)
             if along <= half_l + cell_reach and across <= half_w + cell_reach:
+                _, gap_x, gap_y = corner_gap(dx, dy, 0.5 * size, cos, sin, half_l, half_w)
+                if gap_x * gap_x + gap_y * gap_y > radius * radius:
+                    continue
                 low = height if low == NO_GROUND_UM else min(low, height)
                 high = max(high, height)
     return low, high
@@ -210,5 +246,5 @@ def highest_between(
     half_w = abs(cos * along_y - sin * along_x) * sole[0]
     half_w += abs(cos * along_x + sin * along_y) * sole[1]
     x, y = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
-    _, high = box_heights(terrain, x, y, along_x, along_y, 0.5 * length, half_w)
+    _, high = box_heights(terrain, x, y, along_x, along_y, (0.5 * length, half_w, 0.0))
     return high

@@ -18,7 +18,7 @@ from planner.collision import (
     terrain_of,
 )
 from planner.plan import FootstepPlan, feet_at, pair_pose
-from planner.robot_model import Side, StepModel, half_box
+from planner.robot_model import Side, StepModel, rounded_box
 
 FloatArray = NDArray[np.float64]
 _SEARCH_RADIUS_M = 2.0
@@ -43,13 +43,13 @@ def what_obstructs(
     grid: OccupancyGrid, terrain: Terrain, model: StepModel, feet: FloatArray, margins: bool = True
 ) -> str:
     """As `what_blocks`, but for obstacles only."""
-    foot = half_box(model.foot, model.foot_margin_m if margins else 0.0)
-    body = half_box(model.body, model.body_margin_m if margins else 0.0)
+    foot = rounded_box(model.foot, model.foot_margin_m if margins else 0.0)
+    body = rounded_box(model.body, model.body_margin_m if margins else 0.0)
     boxes = [(f"the {side.name.lower()} foot", feet[side], foot) for side in Side]
-    for name, pose, (half_l, half_w) in [*boxes, ("the body", pair_pose(feet), body)]:
+    for name, pose, box in [*boxes, ("the body", pair_pose(feet), body)]:
         x, y = (float(v) for v in grid.world_to_grid(pose[:2]))
         yaw = float(pose[-1]) - grid.origin[2]
-        if not box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w):
+        if not box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), box):
             where = f"{name} at {pose[0]:.2f},{pose[1]:.2f}"
             if not grid.contains(pose[:2]):
                 return f"{where} would be off the map"
@@ -136,7 +136,7 @@ class Footing:
         if self._terrain is None:
             return over_z_m
         feet = plan.start_feet_world.copy()
-        sole = half_box(self._model.foot, 0.0)
+        sole = self._model.foot.length_m / 2, self._model.foot.width_m / 2
         for k, (side, pose) in enumerate(zip(plan.side, plan.pose_world, strict=True)):
             lift_off, feet[side] = feet[side].copy(), pose
             (x0, y0), (x1, y1) = self._grid.world_to_grid([lift_off[:2], pose[:2]]).tolist()

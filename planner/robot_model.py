@@ -103,9 +103,14 @@ class BodyShape:
         _check_positive("body width_m", self.width_m)
 
 
-def half_box(shape: FootShape | BodyShape, margin_m: float) -> tuple[float, float]:
-    """Half length and half width of a box that grows by a margin on all sides."""
-    return shape.length_m / 2 + margin_m, shape.width_m / 2 + margin_m
+# A box widened by a disc (their Minkowski sum): half length and half width of the box, and radius.
+# It holds all points that are no farther from the box than the radius.
+RoundedBox = tuple[float, float, float]
+
+
+def rounded_box(shape: FootShape | BodyShape, margin_m: float) -> RoundedBox:
+    """The ground under a foot or body and as far around it as a margin."""
+    return shape.length_m / 2, shape.width_m / 2, float(margin_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,7 +183,8 @@ class StepModel:
     clearance_m, clearance_cost_m: optional: a step that leaves less than clearance_m between the
         circle around the body's width and an obstacle costs up to clearance_cost_m more, growing
         linearly as that distance falls to zero.
-    foot_margin_m, body_margin_m: by how much each box grows on all sides for the collision check.
+    foot_margin_m, body_margin_m: least distance of each box from what is blocked: the collision
+        check widens the box by a disc of this radius.
     foot_gap_m: least distance between the boxes of two consecutive feet.
     level_margin_m, level_m: on maps with elevation the ground under a foot and this far around it
         must be level: its highest point is at most level_m above its lowest.

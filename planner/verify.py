@@ -31,8 +31,8 @@ def violations(
     """What is wrong with a plan that was found, one line each; empty if it is right.
 
     Sides alternate; each step is within the limits; consecutive feet keep the gap; the boxes of
-    feet (at every step) and body (at every pair of feet and over every single foot), margins
-    included, lie on the map and off blocked cells; feet are on the highest ground below them,
+    feet (at every step) and body (at every pair of feet and over every single foot) keep their
+    margins from blocked cells and the map's edge; feet are on the highest ground below them,
     which is level; rise and fall and the ground that a foot swings over are within the limits; the
     last two feet are those of the goal pose, exactly. stood_freely: the plan began at a pair pose,
     so the margins count in the first step too; false where it began from feet as they stood.
@@ -112,7 +112,7 @@ def _limit_violations(
         if not beyond_m <= 1e-6:
             at = f"x {values[0]:.4f}, y {values[1]:.4f}"
             yield f"{at} is {beyond_m:.4f} m outside the polygon {limits.reach_m}"
-    apart_m = shapely.distance(_box(support, model.foot, 0.0), _box(pose, model.foot, 0.0))
+    apart_m = shapely.distance(_box(support, model.foot), _box(pose, model.foot))
     if apart_m < model.foot_gap_m - 1e-9:
         yield f"the feet are {apart_m:.4f} m apart, less than {model.foot_gap_m}"
 
@@ -127,7 +127,7 @@ class _Floor:
     def collisions(
         self, support: FloatArray, pose: FloatArray, swing: Side, pair_margin_m: float
     ) -> Iterator[str]:
-        """What the boxes of one step hit; poses (4,)."""
+        """What foot and body of one step hit; poses (4,)."""
         model = self._model
         left_m = model.stance_width_m / 2 * (-1.0 if swing == Side.LEFT else 1.0)
         turn = math.remainder(pose[3] - support[3], 2 * math.pi)
@@ -138,7 +138,8 @@ class _Floor:
             ("the body on both feet", pair, model.body, pair_margin_m),
             ("the body on one foot", single, model.body, model.body_margin_m),
         ):
-            if self._hits(_box(self._in_grid(at), shape, margin_m - _OVERLAP_TOLERANCE_M)):
+            box = _box(self._in_grid(at), shape, _OVERLAP_TOLERANCE_M)
+            if self._hits(box, margin_m):
                 yield f"{name} hits something at {at[0]:.3f}, {at[1]:.3f}"
 
     def height_violations(
@@ -151,8 +152,9 @@ class _Floor:
                 yield f"z {pose[2]} is not 0 on a flat floor"
             return
         foot, margin_m = self._in_grid(pose), model.level_margin_m
-        heights = self._heights_below(_box(foot, model.foot, margin_m - _TOLERANCE_M))
-        near = self._heights_below(_box(foot, model.foot, margin_m + _TOLERANCE_M))
+        sole = _box(foot, model.foot, _TOLERANCE_M)
+        heights = self._heights_below(sole, margin_m)
+        near = self._heights_below(sole, margin_m + 3 * _TOLERANCE_M)
         if len(heights) == 0 or np.ptp(heights) > model.level_m + _TOLERANCE_M:
             yield f"the ground at {pose[0]:.3f}, {pose[1]:.3f} is not level: {heights}"
         elif not heights.max() - _TOLERANCE_M <= pose[2] <= near.max() + _TOLERANCE_M:
@@ -163,7 +165,7 @@ class _Floor:
             yield f"rise {rise_m:.4f} is outside {low_m}..{high_m}"
         highest_m = max(pose[2], support[2]) + model.swing_clear_m
         for area in _swing_areas(self._in_grid(support), foot, swing, model):
-            passed = self._heights_below(area)
+            passed = self._heights_below(area, 0.0)
             if len(passed) and passed.max() > highest_m + _TOLERANCE_M:
                 yield f"the foot swings over ground at z {passed.max():.3f}"
 
@@ -173,25 +175,30 @@ class _Floor:
         x, y = _turned(pose[0] - x0_m, pose[1] - y0_m, -yaw_rad)
         return np.array([x, y, pose[-1] - yaw_rad])
 
-    def _hits(self, area: shapely.Polygon) -> bool:
-        """Whether an area overlaps a blocked cell or leaves the map."""
+    def _hits(self, area: shapely.Polygon, margin_m: float) -> bool:
+        """Whether an area is within a margin of a blocked cell or the map's edge."""
         low_x, low_y, high_x, high_y = area.bounds
         size_x, size_y = self._grid.size_m
-        if min(low_x, low_y) < 0 or high_x > size_x or high_y > size_y:
+        if min(low_x, low_y, size_x - high_x, size_y - high_y) < margin_m:
             return True
-        return len(self._overlapped(area, self._blocked, self._blocked)) > 0
+        return len(self._near(area, margin_m, self._blocked, self._blocked)) > 0
 
-    def _heights_below(self, area: shapely.Polygon) -> FloatArray:
-        """Heights (n,) of the free cells that an area overlaps."""
+    def _heights_below(self, area: shapely.Polygon, margin_m: float) -> FloatArray:
+        """Heights (n,) of the free cells within a margin of an area."""
         assert self._grid.elevation_m is not None
-        return self._overlapped(area, ~self._blocked, self._grid.elevation_m)
+        return self._near(area, margin_m, ~self._blocked, self._grid.elevation_m)
 
-    def _overlapped(
-        self, area: shapely.Polygon, mask: NDArray[np.bool_], values: NDArray[np.generic]
+    def _near(
+        self,
+        area: shapely.Polygon,
+        margin_m: float,
+        mask: NDArray[np.bool_],
+        values: NDArray[np.generic],
     ) -> FloatArray:
-        """Values (n,) of the cells of a mask that an area overlaps; alike neighbours count once."""
+        """Values (n,) of a mask's cells within a margin of an area; alike neighbours count once."""
         size_m = self._grid.resolution_m
-        low_x, low_y, high_x, high_y = (max(0, int(v // size_m)) for v in area.bounds)
+        bounds = np.array(area.bounds) + np.array([-1, -1, 1, 1]) * margin_m
+        low_x, low_y, high_x, high_y = (max(0, int(v // size_m)) for v in bounds)
         window = slice(low_y, high_y + 1), slice(low_x, high_x + 1)
         inside, value = mask[window], values[window]
         if not inside.any():
@@ -204,8 +211,8 @@ class _Floor:
         row, col = np.divmod(first, inside.shape[1])
         left, low = (col + low_x) * size_m, (row + low_y) * size_m
         rectangles = shapely.box(left, low, left + cells * size_m, low + size_m)
-        overlap = inside.ravel()[first] & shapely.intersects(rectangles, area)
-        return np.asarray(value.ravel()[first][overlap], float)
+        near = inside.ravel()[first] & (shapely.distance(rectangles, area) <= margin_m)
+        return np.asarray(value.ravel()[first][near], float)
 
 
 def _swing_areas(
@@ -233,9 +240,9 @@ def _beside(pose: FloatArray | tuple[float, ...], left_m: float) -> FloatArray:
     return np.array([pose[0] + x, pose[1] + y])
 
 
-def _box(pose: FloatArray, shape: FootShape | BodyShape, margin_m: float) -> shapely.Polygon:
-    """The box of a foot or body at a pose (x, y, ..., yaw), grown by a margin on all sides."""
-    half_l, half_w = shape.length_m / 2 + margin_m, shape.width_m / 2 + margin_m
+def _box(pose: FloatArray, shape: FootShape | BodyShape, less_m: float = 0.0) -> shapely.Polygon:
+    """The box of a foot or body at a pose (x, y, ..., yaw), so much less on all sides."""
+    half_l, half_w = shape.length_m / 2 - less_m, shape.width_m / 2 - less_m
     corners = (half_l, half_w), (-half_l, half_w), (-half_l, -half_w), (half_l, -half_w)
     turned = (_turned(x, y, pose[-1]) for x, y in corners)
     return shapely.Polygon([(pose[0] + x, pose[1] + y) for x, y in turned])

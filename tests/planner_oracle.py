@@ -54,6 +54,7 @@ class Oracle:
         self._blocked = shapely.union_all(squares)
         shapely.prepare(self._blocked)
         self._floor = shapely.box(0, 0, *grid.size_m)
+        self._edge = self._floor.exterior
         self._origin = grid.origin
         self._heights = None if grid.elevation_m is None else HeightOracle(grid, model)
         self._free: dict = {}
@@ -73,13 +74,15 @@ class Oracle:
         )
 
     def box_is_free(self, x, y, yaw, length_m, width_m, margin_m) -> bool:
-        """Whether a box with its margin lies on the floor and off the blocked cells."""
-        half_l, half_w = length_m / 2 + margin_m - 1e-7, width_m / 2 + margin_m - 1e-7
+        """Whether a box lies on the floor, and so far from its edge and the blocked cells."""
+        half_l, half_w = length_m / 2 - 1e-7, width_m / 2 - 1e-7
         box = shapely.box(-half_l, -half_w, half_l, half_w)
         box = affinity.rotate(box, yaw, origin=(0, 0), use_radians=True)
         box = affinity.translate(box, x - self._origin[0], y - self._origin[1])
         box = affinity.rotate(box, -self._origin[2], origin=(0, 0), use_radians=True)
-        return self._floor.covers(box) and not self._blocked.intersects(box)
+        if not self._floor.covers(box):
+            return False
+        return not (self._blocked.dwithin(box, margin_m) or self._edge.dwithin(box, margin_m))
 
     def node_is_free(self, node: Node) -> bool:
         """Whether the foot and the body over it are free."""

@@ -17,28 +17,59 @@ from planner.verify import violations
 from tests.planner_floor import FLOOR, blocked_at, small_plan
 from tests.planner_oracle import small_model
 
+# So near to touching, check and polygons may disagree: the field is of single precision.
+TOLERANCE_M = 2e-6
 
-def test_box_checks_agree_with_polygons_exactly():
-    rng = np.random.default_rng(2)
-    cells = (rng.random((40, 50)) < 0.04).astype(np.uint8)
-    grid = OccupancyGrid(cells=cells, resolution_m=0.07)
-    terrain = terrain_of(grid, False)
+
+@pytest.mark.parametrize("share", [0.01, 0.04])
+@pytest.mark.parametrize("size_m", [0.02, 0.07, 0.3])
+def test_a_rounded_box_is_free_up_to_its_distance_from_cells_and_edge(size_m, share):
+    rng = np.random.default_rng([int(1000 * size_m), int(100 * share)])
+    cells = (rng.random((40, 50)) < share).astype(np.uint8)
+    terrain = terrain_of(OccupancyGrid(cells=cells, resolution_m=size_m), False)
     row, col = np.nonzero(cells)
     squares = shapely.union_all(shapely.box(col, row, col + 1, row + 1))
-    blocked = affinity.scale(squares, 0.07, 0.07, origin=(0, 0))
-    shapely.prepare(blocked)
-    floor = shapely.box(0, 0, 3.5, 2.8)
-    hits = 0
-    for x, y, yaw in rng.uniform((-0.1, -0.1, -4.0), (3.6, 2.9, 4.0), (3000, 3)):
-        half_l, half_w = rng.uniform(0.01, 0.4, 2)
+    width_m, height_m = 50 * size_m, 40 * size_m
+    outside = shapely.box(-9, -9, 50, 50).difference(shapely.box(0, 0, width_m, height_m))
+    solid = outside.union(affinity.scale(squares, size_m, size_m, origin=(0, 0)))
+    shapely.prepare(solid)
+    poses = rng.uniform((-0.1, -0.1, -4.0), (width_m + 0.1, height_m + 0.1, 4.0), (1500, 3))
+    apart, corners = 0, 0
+    for x, y, yaw in poses:
+        half_l, half_w = rng.uniform(0.01, min(5 * size_m, 0.4), 2)
         box = shapely.box(-half_l, -half_w, half_l, half_w)
         box = affinity.rotate(box, yaw, origin=(0, 0), use_radians=True)
         box = affinity.translate(box, x, y)
-        is_free = floor.covers(box) and not blocked.intersects(box)
-        said = box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w)
-        assert said == is_free
-        hits += not is_free
-    assert 500 < hits < 2900
+        pose = x, y, math.cos(yaw), math.sin(yaw)
+        room_m = float(solid.distance(box))
+        assert not box_free(terrain, *pose, (half_l, half_w, room_m + TOLERANCE_M))
+        if room_m > TOLERANCE_M:
+            assert box_free(terrain, *pose, (half_l, half_w, room_m - TOLERANCE_M))
+            apart += 1
+            # Nearest at two corners, where a box that is longer and wider by as much would touch.
+            grown = half_l + room_m - TOLERANCE_M, half_w + room_m - TOLERANCE_M
+            corners += not box_free(terrain, *pose, (*grown, 0.0))
+    assert apart > 150
+    assert corners > apart / 10
+
+
+@pytest.mark.parametrize(
+    ("col", "row", "is_free"),
+    [
+        (129, 140, True),  # 9 cm ahead of the box's corner and 9 cm beside it: 12.7 cm off
+        (127, 138, False),  # 7 and 7 cm: 9.9 cm
+        (130, 110, False),  # 10 cm ahead
+        (132, 110, True),  # 12 cm
+        (110, 141, False),  # 10 cm beside
+        (110, 143, True),  # 12 cm
+    ],
+)
+def test_the_corner_of_a_body_is_round_by_hand(col, row, is_free):
+    """A body of 40 x 62 cm, margin 11 cm, in the middle of 2 x 2 m, and one cell of 1 cm."""
+    cells = np.zeros((200, 200), np.uint8)
+    cells[row, col] = 1
+    terrain = terrain_of(OccupancyGrid(cells=cells, resolution_m=0.01), False)
+    assert box_free(terrain, 1.0, 1.0, 1.0, 0.0, (0.20, 0.31, 0.11)) == is_free
 
 
 def test_point_clearance_is_a_lower_bound():

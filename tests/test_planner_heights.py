@@ -89,7 +89,7 @@ HAND = floor(
     ],
 )
 def test_heights_under_a_box_by_hand(x, y, yaw, half_l, half_w, expected_m):
-    box = x, y, math.cos(yaw), math.sin(yaw), half_l, half_w
+    box = x, y, math.cos(yaw), math.sin(yaw), (half_l, half_w, 0.0)
     expected = (NO_GROUND_UM,) * 2 if expected_m is None else tuple(1e6 * v for v in expected_m)
     assert box_heights(terrain_of(HAND, False), *box) == expected
 

@@ -113,19 +113,21 @@ def test_room_around_a_box_is_right_by_polygons():
     touched = 0
     for _ in range(300):
         x, y, yaw = rng.uniform((0.4, 0.4, -3.2), (2.6, 2.6, 3.2))
-        near = distances_to_blocked(terrain, x, y, yaw, 0.15, 0.08, 0.1, distances)
+        radius_m = rng.uniform(0.0, 0.1)
+        rounded = 0.15, 0.08, radius_m
+        near = distances_to_blocked(terrain, x, y, yaw, rounded, 0.1, distances)
         box = affinity.rotate(
             shapely.box(-0.15, -0.08, 0.15, 0.08), yaw, origin=(0, 0), use_radians=True
         )
-        distance_m = affinity.translate(box, x, y).distance(walls)
+        distance_m = affinity.translate(box, x, y).distance(walls) - radius_m
         if not near:
             assert distance_m > 0.1
             continue
-        # Along its axis a gap is at most the distance; corner to corner it may be smaller.
         least = distances[:, 0].min()
-        assert least <= distance_m + 1e-4
-        assert (least > -1.1e-5) or distance_m == 0
-        assert distance_m == 0 or least >= distance_m / math.sqrt(2) - 1e-4 or distance_m > 0.1
+        if distance_m == -radius_m:  # the box itself overlaps a cell
+            assert least < distance_m
+            continue
+        assert least == pytest.approx(min(distance_m, 0.1), abs=1.1e-5)
         touched += least < 0.1
     assert touched > 50
 

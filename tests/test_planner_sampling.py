@@ -267,7 +267,7 @@ def test_a_window_is_a_part_of_the_map_and_a_corridor_a_part_of_a_window():
     for x, y, yaw in rng.uniform((0.9, 0.9, -3), (1.5, 1.4, 3), (400, 3)):
         cos, sin = math.cos(yaw), math.sin(yaw)
         here = [
-            box_free(part, x - corner[0], y - corner[1], cos, sin, 0.1, 0.05)
+            box_free(part, x - corner[0], y - corner[1], cos, sin, (0.08, 0.03, 0.02))
             for part, corner in (
                 (terrain, (0.0, 0.0)),
                 (window.terrain, window.corner_m),

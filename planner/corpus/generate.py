@@ -178,6 +178,6 @@ def _boxes(wanted: RandomPlans, start: Pose, goal: Pose, rng: np.random.Generato
 
 def _body_radius_m(model: StepModel) -> float:
     """Radius of the circle around everything that must be free where the robot stands."""
-    body = math.hypot(model.body.length_m, model.body.width_m) / 2 + 1.5 * model.body_margin_m
+    body = math.hypot(model.body.length_m, model.body.width_m) / 2 + model.body_margin_m
     foot = (model.stance_width_m + math.hypot(model.foot.length_m, model.foot.width_m)) / 2
-    return max(body, foot + 1.5 * model.foot_margin_m)
+    return max(body, foot + model.foot_margin_m)

@@ -142,7 +142,7 @@ def _reach(
     model: StepModel, table: StepTable, body_cell: IntArray, cols: IntArray, rows: IntArray
 ) -> float:
     """Least depth over all steps of the cells on its way inside the boxes checked for it."""
-    half_m = np.array([model.body.length_m, model.body.width_m]) / 2 + model.body_margin_m
+    half_m = np.array([model.body.length_m, model.body.width_m]) / 2
     bin_rad = 2 * np.pi / model.headings
     least = np.inf
     for heading, side, k in np.argwhere(table.cost_um > 0):
@@ -166,7 +166,9 @@ def _reach(
         off = way[:, None, :] - centres[None, :, :]
         along = np.cos(yaws) * off[..., 0] + np.sin(yaws) * off[..., 1]
         across = -np.sin(yaws) * off[..., 0] + np.cos(yaws) * off[..., 1]
-        depth = np.minimum(half_m[0] - np.abs(along), half_m[1] - np.abs(across))
+        beyond = np.abs(np.stack([along, across])) - half_m[:, None, None]
+        outside_m = np.hypot(*np.maximum(beyond, 0.0))
+        depth = model.body_margin_m - outside_m - np.minimum(beyond.max(axis=0), 0.0)
         least = min(least, float(depth.max(axis=1).min()))
     return least
 

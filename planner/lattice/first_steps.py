@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import box_free, clearance_at
+from planner.collision import box_free, clearance_at, radius_of
 from planner.compiled import njit_arrays, njit_no_refcount
 from planner.lattice.lattice import (
     Int64s,
@@ -18,11 +18,10 @@ from planner.lattice.lattice import (
     node_foot,
     node_free,
     node_height_um,
-    radius_of,
     to_grid,
 )
 from planner.lattice.steps import allowed, step_cost_um
-from planner.robot_model import Side, StepModel, half_box
+from planner.robot_model import RoundedBox, Side, StepModel, rounded_box
 
 FloatArray = NDArray[np.float64]
 
@@ -39,7 +38,7 @@ def first_steps(
 
     feet_lattice (2, 3): x_m, y_m, yaw_rad of the feet in the lattice frame, at no nodes in
     general. Every node within the step limits counts, not only those near the step set.
-    body_margin_m: margin of the body's box at the pair pose of this step.
+    body_margin_m: margin of the body at the pair pose of this step.
     feet_um (2,): height of the ground under the feet in micrometres.
     """
     limits = model.limits
@@ -50,7 +49,7 @@ def first_steps(
     nodes, poses, steps = nodes[keep], poses[keep], steps[keep]
     costs_um = step_cost_um(steps, model)
     free = np.zeros(len(nodes), np.bool_)
-    body = half_box(model.body, body_margin_m)
+    body = rounded_box(model.body, body_margin_m)
     _check_first(lattice, nodes, poses, costs_um, feet_lattice, feet_um, body, free)
     return nodes[free], costs_um[free]
 
@@ -109,7 +108,7 @@ def _check_first(
     costs_um: Int64s,
     feet: FloatArray,
     feet_um: Int64s,
-    body: tuple[float, float],
+    body: RoundedBox,
     free: NDArray[np.bool_],
 ) -> None:
     """Marks the nodes (n,) that a first step may lead to, and adds the cost of clearance.
@@ -130,7 +129,7 @@ def _check_first(
         gx, gy = to_grid(lattice, x, y)
         clear_m = clearance_at(clearance_m, size_m, gx, gy)
         if clear_m <= radius_m and not box_free(
-            terrain, gx, gy, math.cos(yaw), math.sin(yaw), body[0], body[1]
+            terrain, gx, gy, math.cos(yaw), math.sin(yaw), body
         ):
             continue
         if len(lattice.node_um) > 0:

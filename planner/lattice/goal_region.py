@@ -91,7 +91,7 @@ def may_end_at(lattice: Lattice, node: int) -> bool:
     if not node_free(lattice, node):
         return False
     x, y, cos, sin = _foot_beside(lattice, node)
-    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
+    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot):
         return False
     if len(lattice.node_um) == 0:
         return True

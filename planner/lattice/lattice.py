@@ -23,6 +23,7 @@ from planner.collision import (
     clearance_at,
     highest_between,
     point_clearance,
+    radius_of,
 )
 from planner.compiled import (
     Slots,
@@ -35,7 +36,7 @@ from planner.compiled import (
 )
 from planner.lattice.frame import Frame
 from planner.lattice.steps import MICRO, StepTable, numbered_steps
-from planner.robot_model import StepModel, half_box
+from planner.robot_model import RoundedBox, StepModel, rounded_box
 
 UNKNOWN, FREE, BLOCKED = 0, 1, 2
 _PAIR_SLOTS = 1 << 15
@@ -56,10 +57,11 @@ class Lattice(NamedTuple):
     the swing foot. D_HALF: the cells' difference for the midpoint of the feet on the grid of half
     cells. HALF_HEADING: mean heading in half bins.
     cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
-    pair pose in the grid frame. origin: col, row of the goal's cell. foot, body: half lengths and
-    half widths, margins included. clearance: see `_clearance`.
-    tread: half box of a foot with the margin on which the ground must be level. sole: without
-    any. swing_reach_m: how far from a foot a step may pass over ground. climb_um: see `_climb`.
+    pair pose in the grid frame. origin: col, row of the goal's cell. foot, body: widened by their
+    margins. clearance: see `_clearance`.
+    tread: foot widened by the margin on which the ground must be level. sole: half length and half
+    width of a foot. swing_reach_m: how far from a foot a step may pass over ground. climb_um: see
+    `_climb`.
     slots: where arrays over the nodes have what is known of each. node_state (slots,): UNKNOWN,
     FREE or BLOCKED. node_um (slots,): height of the ground under each node that was found free, in
     micrometres; (0,) where the floor is flat. pair_key: see `pair_free`.
@@ -75,15 +77,15 @@ class Lattice(NamedTuple):
     cell_m: float
     frame: Frame
     half_stance_m: float
-    foot: tuple[float, float]
-    body: tuple[float, float]
+    foot: RoundedBox
+    body: RoundedBox
     clearance: tuple[float, float, float]
     cos: Floats
     sin: Floats
     slots: Slots
     node_state: NDArray[np.uint8]
     pair_key: Int64s
-    tread: tuple[float, float]
+    tread: RoundedBox
     sole: tuple[float, float]
     swing_reach_m: float
     climb_um: tuple[int, int, int, int]
@@ -152,16 +154,16 @@ def build_lattice(
         cell_m=model.cell_m,
         frame=(x_m, y_m, cos, sin),
         half_stance_m=model.stance_width_m / 2,
-        foot=half_box(model.foot, model.foot_margin_m),
-        body=half_box(model.body, model.body_margin_m),
+        foot=rounded_box(model.foot, model.foot_margin_m),
+        body=rounded_box(model.body, model.body_margin_m),
         clearance=_clearance(model),
         cos=np.cos(half_bins),
         sin=np.sin(half_bins),
         slots=slots,
         node_state=zeros(slots.length, np.uint8),
         pair_key=zeros(_PAIR_SLOTS, np.int64),
-        tread=half_box(model.foot, model.level_margin_m),
-        sole=half_box(model.foot, 0.0),
+        tread=rounded_box(model.foot, model.level_margin_m),
+        sole=(model.foot.length_m / 2, model.foot.width_m / 2),
         swing_reach_m=_swing_reach(model),
         climb_um=_climb(model),
         node_um=zeros(0 if terrain.is_flat else slots.length, np.int32),
@@ -290,15 +292,9 @@ def far_from_all(
 
 
 @njit_no_refcount
-def radius_of(half_box: tuple[float, float]) -> float:
-    """Radius of the circle around a box, a hair more."""
-    return math.sqrt(half_box[0] ** 2 + half_box[1] ** 2) + 1e-6
-
-
-@njit_no_refcount
 def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
     x, y, cos, sin = node_foot(lattice, node)
-    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
+    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot):
         return False
     if len(lattice.node_um) > 0:
         height_um = level_height_um(lattice, (x, y, cos, sin))
@@ -307,7 +303,7 @@ def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
         lattice.node_um[slot] = height_um
     inward = (1 - 2 * (node & 1)) * lattice.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
-    return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body[0], lattice.body[1])
+    return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body)
 
 
 @njit_no_refcount
@@ -323,7 +319,7 @@ def level_height_um(lattice: Lattice, foot: Foot) -> int:
     The floor must not be flat.
     """
     x, y, cos, sin = foot
-    low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread[0], lattice.tread[1])
+    low, high = box_heights(lattice.terrain, x, y, cos, sin, lattice.tread)
     return high if high - low <= lattice.climb_um[2] else NO_GROUND_UM
 
 
@@ -350,10 +346,9 @@ def pair_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     stored = lattice.pair_key[slot]  # 0 where nothing is: the first half cell lies on the rim
     if stored >> 1 == key >> 1:
         return (stored & 1) == 1
-    half_l, half_w = lattice.body
     x, y = _half_point(lattice, half)
     free = box_free(
-        lattice.terrain, x, y, lattice.cos[half_heading], lattice.sin[half_heading], half_l, half_w
+        lattice.terrain, x, y, lattice.cos[half_heading], lattice.sin[half_heading], lattice.body
     )
     lattice.pair_key[slot] = key + (1 if free else 0)
     return free

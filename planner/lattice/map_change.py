@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import Terrain
+from planner.collision import Terrain, radius_of
 from planner.compiled import njit_no_refcount, slot_of
 from planner.lattice.frame import points_from_grid
 from planner.lattice.lattice import D_COL, D_ROW, UNKNOWN, Int64s, Lattice
@@ -94,8 +94,8 @@ def _sights_m(lattice: Lattice) -> tuple[float, float, float]:
     step_m = (
         float(np.hypot(lattice.steps[..., D_COL], lattice.steps[..., D_ROW]).max()) * lattice.cell_m
     )
-    body_m, side_m = math.hypot(*lattice.body), lattice.half_stance_m
-    foot_m = math.hypot(*np.maximum(lattice.foot, lattice.tread))
+    body_m, side_m = radius_of(lattice.body), lattice.half_stance_m
+    foot_m = max(radius_of(lattice.foot), radius_of(lattice.tread))
     node_m = max(2 * side_m + body_m, 3 * side_m + foot_m)
     pair_m = step_m / 2 + max(body_m, lattice.clearance[0])
     if not lattice.terrain.is_flat:

@@ -4,10 +4,10 @@ Every constraint is a distance that must not be negative: from a limit of the st
 feet, from a box to the blocked cells around it. A step shares constraints with its neighbours only,
 so the matrix of the Newton step is banded.
 
-A box has eight distances to the cells around it. Each cell is separated from the box along one of
-four axes, those of the map and those of the box (two rectangles overlap unless one of the four
-separates them), and counts toward the axis on which it lies farthest off. The least distance on
-either side of each axis bounds where the box may move, and turning changes it smoothly.
+A box, widened by its margin, has twelve distances to the cells around it. Each cell is nearest to
+the box either at a corner of both, or along one of four axes, those of the map and those of the
+box, the one on which it lies farthest off. The least distance on either side of each axis and at
+each corner of the box bounds where the box may move, and turning changes it smoothly.
 """
 
 from __future__ import annotations
@@ -18,13 +18,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import NO_GROUND_UM, Terrain, point_clearance
+from planner.collision import NO_GROUND_UM, Terrain, corner_gap, point_clearance, radius_of
 from planner.compiled import njit_arrays, njit_no_refcount
 from planner.lattice.lattice import Lattice
 from planner.refinement.cost import RefinementProblem, gap_axis, pair_pose_of, turn_between
+from planner.robot_model import RoundedBox
 
 FloatArray = NDArray[np.float64]
-DIRECTIONS = 8  # ahead, back, left, right of the box, then +x, -x, +y, -y of the map
+# Ahead, back, left, right of the box; +x, -x, +y, -y of the map; corners as in `corner_gap`.
+DIRECTIONS, _FIRST_CORNER = 12, 8
 MARGIN_M = 1e-5  # kept from all limits, more than the numeric error of an iteration
 
 
@@ -32,7 +34,7 @@ class _Box(NamedTuple):
     """A box with half extents: half_l, half_w along its own axes, reach_x, reach_y along the map's.
 
     cell_reach: half extent of a cell along the box's axes. by_yaw_*: derivatives of the last three
-    by the yaw.
+    by the yaw. radius: of the disc that widens the box, which the other numbers leave out.
     """
 
     x: float
@@ -41,6 +43,7 @@ class _Box(NamedTuple):
     sin: float
     half_l: float
     half_w: float
+    radius: float
     reach_x: float
     reach_y: float
     cell_reach: float
@@ -50,7 +53,8 @@ class _Box(NamedTuple):
 
 
 @njit_no_refcount
-def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: float) -> _Box:
+def _box(x: float, y: float, yaw: float, rounded: RoundedBox, size: float) -> _Box:
+    half_l, half_w, radius = rounded
     cos, sin = math.cos(yaw), math.sin(yaw)
     cos_sign, sin_sign = (1.0 if cos >= 0 else -1.0), (1.0 if sin >= 0 else -1.0)
     return _Box(
@@ -60,9 +64,10 @@ def _box(x: float, y: float, yaw: float, half_l: float, half_w: float, size: flo
         sin,
         half_l,
         half_w,
-        abs(cos) * half_l + abs(sin) * half_w + MARGIN_M,
-        abs(sin) * half_l + abs(cos) * half_w + MARGIN_M,
-        0.5 * size * (abs(cos) + abs(sin)) + MARGIN_M,
+        radius + MARGIN_M,
+        abs(cos) * half_l + abs(sin) * half_w,
+        abs(sin) * half_l + abs(cos) * half_w,
+        0.5 * size * (abs(cos) + abs(sin)),
         half_w * cos * sin_sign - half_l * sin * cos_sign,
         half_l * cos * sin_sign - half_w * sin * cos_sign,
         0.5 * size * (cos * sin_sign - sin * cos_sign),
@@ -75,8 +80,7 @@ def distances_to_blocked(
     x: float,
     y: float,
     yaw: float,
-    half_l: float,
-    half_w: float,
+    rounded: RoundedBox,
     range_m: float,
     distances: FloatArray,
 ) -> bool:
@@ -85,11 +89,10 @@ def distances_to_blocked(
     A distance is range_m where nothing is nearer, and negative where box and cells overlap.
     Returns False, with nothing filled, if no cell is in range.
     """
-    radius = math.sqrt(half_l * half_l + half_w * half_w) + range_m
-    if point_clearance(terrain, x, y) > radius:
+    if point_clearance(terrain, x, y) > radius_of(rounded) + range_m:
         return False
     size = terrain.resolution_m
-    box = _box(x, y, yaw, half_l, half_w, size)
+    box = _box(x, y, yaw, rounded, size)
     distances[:, 0] = range_m
     _measure_edges(terrain, box, distances)
     row0, row1, col0, col1 = _cells_around(terrain, box, range_m)
@@ -112,8 +115,7 @@ def distances_to_level_edge(
     x: float,
     y: float,
     yaw: float,
-    half_l: float,
-    half_w: float,
+    rounded: RoundedBox,
     level_um: int,
     range_m: float,
     distances: FloatArray,
@@ -130,7 +132,7 @@ def distances_to_level_edge(
     own_um = terrain.height_um[row, col]
     if own_um == NO_GROUND_UM:
         return False
-    box = _box(x, y, yaw, half_l, half_w, size)
+    box = _box(x, y, yaw, rounded, size)
     distances[:, 0] = range_m
     row0, row1, col0, col1 = _cells_around(terrain, box, range_m)
     for row in range(row0, row1 + 1):
@@ -147,11 +149,12 @@ def _cells_around(terrain: Terrain, box: _Box, range_m: float) -> tuple[int, int
     """First and last row and column of the cells that may lie in range of a box."""
     rows, cols = terrain.blocked.shape
     size = terrain.resolution_m
+    reach_x, reach_y = box.reach_x + box.radius + range_m, box.reach_y + box.radius + range_m
     return (
-        max(0, math.floor((box.y - box.reach_y - range_m) / size)),
-        min(rows - 1, math.floor((box.y + box.reach_y + range_m) / size)),
-        max(0, math.floor((box.x - box.reach_x - range_m) / size)),
-        min(cols - 1, math.floor((box.x + box.reach_x + range_m) / size)),
+        max(0, math.floor((box.y - reach_y) / size)),
+        min(rows - 1, math.floor((box.y + reach_y) / size)),
+        max(0, math.floor((box.x - reach_x) / size)),
+        min(cols - 1, math.floor((box.x + reach_x) / size)),
     )
 
 
@@ -161,10 +164,10 @@ def _measure_edges(terrain: Terrain, box: _Box, distances: FloatArray) -> None:
     rows, cols = terrain.blocked.shape
     size = terrain.resolution_m
     for direction, gap in (
-        (4, cols * size - box.x - box.reach_x),
-        (5, box.x - box.reach_x),
-        (6, rows * size - box.y - box.reach_y),
-        (7, box.y - box.reach_y),
+        (4, cols * size - box.x - box.reach_x - box.radius),
+        (5, box.x - box.reach_x - box.radius),
+        (6, rows * size - box.y - box.reach_y - box.radius),
+        (7, box.y - box.reach_y - box.radius),
     ):
         if gap < distances[direction, 0]:
             _measure_on_map_axis(box, direction, gap, distances)
@@ -181,6 +184,12 @@ def _measure_cell(box: _Box, dx: float, dy: float, half: float, distances: Float
         direction, gap = (4 if dx >= 0 else 5), abs(dx) - box.reach_x - half
     if abs(dy) - box.reach_y - half > gap:
         direction, gap = (6 if dy >= 0 else 7), abs(dy) - box.reach_y - half
+    if gap > 0.0:
+        corner, gap_x, gap_y = corner_gap(dx, dy, half, box.cos, box.sin, box.half_l, box.half_w)
+        if corner >= 0:
+            _measure_corner(box, corner, gap_x, gap_y, distances)
+            return
+    gap -= box.radius
     if gap >= distances[direction, 0]:
         return
     if direction >= 4:
@@ -197,6 +206,22 @@ def _measure_cell(box: _Box, dx: float, dy: float, half: float, distances: Float
 
 
 @njit_no_refcount
+def _measure_corner(
+    box: _Box, corner: int, gap_x: float, gap_y: float, distances: FloatArray
+) -> None:
+    """Measures from a corner of the box over a gap to the corner of a cell."""
+    direction, length = _FIRST_CORNER + corner, math.sqrt(gap_x * gap_x + gap_y * gap_y)
+    if length - box.radius >= distances[direction, 0]:
+        return
+    ahead, left = 1.0 - 2.0 * (corner & 1), 1.0 - (corner & 2)
+    x = box.cos * ahead * box.half_l - box.sin * left * box.half_w
+    y = box.sin * ahead * box.half_l + box.cos * left * box.half_w
+    distances[direction, 0] = length - box.radius
+    distances[direction, 1], distances[direction, 2] = -gap_x / length, -gap_y / length
+    distances[direction, 3] = (gap_x * y - gap_y * x) / length
+
+
+@njit_no_refcount
 def _measure_on_map_axis(box: _Box, direction: int, gap: float, distances: FloatArray) -> None:
     sign = -1.0 if direction % 2 == 0 else 1.0
     distances[direction, 0] = gap
@@ -204,7 +229,7 @@ def _measure_on_map_axis(box: _Box, direction: int, gap: float, distances: Float
     distances[direction, 3] = -box.by_yaw_x if direction < 6 else -box.by_yaw_y
 
 
-# Constraints of a step: low and high limits of x, y and yaw; the gap between the feet; then eight
+# Constraints of a step: low and high limits of x, y and yaw; the gap between the feet; then twelve
 # distances each of the body on both feet, of the foot, of the body on this foot, and on uneven
 # floors of the foot on its tread; then one for each edge of the landing polygon.
 GAP, PAIR, FOOT, BODY, TREAD = 6, 7, 7 + DIRECTIONS, 7 + 2 * DIRECTIONS, 7 + 3 * DIRECTIONS
@@ -285,26 +310,24 @@ def evaluate_constraints(
         _constrain_step(limits, sole, i, step, value, gradient, active)
         _constrain_to_polygon(reach, i, step, value, gradient, active)
         x, y, yaw = pair_pose_of(poses[i], poses[i + 1])
-        half_l, half_w = first_body if i == 0 else body
-        near = distances_to_blocked(terrain, x, y, yaw, half_l, half_w, _RANGE_M, distances)
+        at_pair = first_body if i == 0 else body
+        near = distances_to_blocked(terrain, x, y, yaw, at_pair, _RANGE_M, distances)
         _set_distances(i, PAIR, near, distances, (0.5, 0.5, 0.0, 0.0), value, gradient, active)
         if i == len(value) - 1:
             break  # this foot stands where the goal wants it
         x, y, yaw = poses[i + 1, 0], poses[i + 1, 1], poses[i + 1, 2]
-        near = distances_to_blocked(terrain, x, y, yaw, foot[0], foot[1], _RANGE_M, distances)
+        near = distances_to_blocked(terrain, x, y, yaw, foot, _RANGE_M, distances)
         _set_distances(i, FOOT, near, distances, (0.0, 1.0, 0.0, 0.0), value, gradient, active)
         inward_x = half_stance_m * outward * math.sin(yaw)
         inward_y = -half_stance_m * outward * math.cos(yaw)
         near = distances_to_blocked(
-            terrain, x + inward_x, y + inward_y, yaw, body[0], body[1], _RANGE_M, distances
+            terrain, x + inward_x, y + inward_y, yaw, body, _RANGE_M, distances
         )
         _set_distances(
             i, BODY, near, distances, (0.0, 1.0, -inward_y, inward_x), value, gradient, active
         )
         if not is_flat:
-            near = distances_to_level_edge(
-                terrain, x, y, yaw, tread[0], tread[1], level_um, _RANGE_M, distances
-            )
+            near = distances_to_level_edge(terrain, x, y, yaw, tread, level_um, _RANGE_M, distances)
             _set_distances(i, TREAD, near, distances, (0.0, 1.0, 0.0, 0.0), value, gradient, active)
         outward = -outward
 

@@ -22,7 +22,7 @@ from planner.lattice.lattice import (
     level_height_um,
 )
 from planner.lattice.steps import MICRO
-from planner.robot_model import StepModel, half_box
+from planner.robot_model import RoundedBox, StepModel, rounded_box
 
 FloatArray = NDArray[np.float64]
 NOT_ALLOWED = -1
@@ -46,8 +46,8 @@ class RefinementProblem(NamedTuple):
 
     limits (6,): low and high of a step's x, y and yaw, outward positive. reach (k, 3): half planes
     n . (x, y) <= c in which a step's x and y lie, as (n, c), if there are any. foot: half length
-    and half width of the foot, half of the gap between feet included. first_body: half length and
-    half width of the body at the first pair pose, where the robot may stand nearer than the margin.
+    and half width of the foot, half of the gap between feet included. first_body: the body at the
+    first pair pose, where the robot may stand nearer than the margin.
     feet (2, 3), feet_um (2,): where the robot stands.
     """
 
@@ -55,7 +55,7 @@ class RefinementProblem(NamedTuple):
     limits: FloatArray
     reach: FloatArray
     foot: tuple[float, float]
-    first_body: tuple[float, float]
+    first_body: RoundedBox
     weights: Weights
     feet: FloatArray
     feet_um: NDArray[np.int64]
@@ -74,8 +74,8 @@ def refinement_problem(
         lattice=lattice,
         limits=np.array([*limits.x_m, *limits.y_m, *limits.yaw_rad]),
         reach=np.ascontiguousarray(limits.half_planes),
-        foot=half_box(model.foot, half_gap_m),
-        first_body=half_box(model.body, first_body_margin_m),
+        foot=(model.foot.length_m / 2 + half_gap_m, model.foot.width_m / 2 + half_gap_m),
+        first_body=rounded_box(model.body, first_body_margin_m),
         weights=Weights(
             stance_m=model.stance_width_m,
             step_m=model.step_cost_m,
@@ -142,11 +142,11 @@ def gap_axis(
 def foot_pose_free(lattice: Lattice, pose: FloatArray, outward: float) -> bool:
     """Whether a foot may stand at a pose (3,): its box and the body's box over it are free."""
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]):
+    if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot):
         return False
     inward = outward * lattice.half_stance_m
     body_x, body_y = x + sin * inward, y - cos * inward
-    return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body[0], lattice.body[1])
+    return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body)
 
 
 @njit_no_refcount
@@ -204,7 +204,7 @@ def plan_cost_um(problem: RefinementProblem, poses: FloatArray, first_outward: f
             pair_x, pair_y, pair_yaw = pair_pose_of(poses[i - 1], poses[i])
             body = problem.first_body if i == 1 else lattice.body
             cos, sin = math.cos(pair_yaw), math.sin(pair_yaw)
-            if not box_free(lattice.terrain, pair_x, pair_y, cos, sin, body[0], body[1]):
+            if not box_free(lattice.terrain, pair_x, pair_y, cos, sin, body):
                 return NOT_ALLOWED
             total += clearance_cost(lattice, point_clearance(lattice.terrain, pair_x, pair_y))
             if not foot_pose_free(lattice, poses[i], outward):

@@ -28,7 +28,7 @@ from planner.lattice.lattice import (
 )
 from planner.lattice.steps import MICRO, allowed, step_cost_um
 from planner.plan import relative_steps, wrap_angle
-from planner.robot_model import Side, StepModel, half_box
+from planner.robot_model import RoundedBox, Side, StepModel, rounded_box
 
 FloatArray = NDArray[np.float64]
 
@@ -115,13 +115,11 @@ def check_feet(
     for i in range(len(path)):
         cos, sin = math.cos(path[i, 2]), math.sin(path[i, 2])
         x, y = path[i, 0], path[i, 1]
-        if not box_free(lattice.terrain, x, y, cos, sin, lattice.body[0], lattice.body[1]):
+        if not box_free(lattice.terrain, x, y, cos, sin, lattice.body):
             continue
         for side in range(2):
             x, y = feet[side, i, 0], feet[side, i, 1]
-            ok[i, side] = box_free(
-                lattice.terrain, x, y, cos, sin, lattice.foot[0], lattice.foot[1]
-            )
+            ok[i, side] = box_free(lattice.terrain, x, y, cos, sin, lattice.foot)
             if ok[i, side] and len(lattice.node_um) > 0:
                 height_um[i, side] = level_height_um(lattice, (x, y, cos, sin))
                 ok[i, side] = height_um[i, side] != NO_GROUND_UM
@@ -134,7 +132,7 @@ def _extra_cost(
     swing: FloatArray,
     side: int,
     heights_um: tuple[int, int],
-    body: tuple[float, float],
+    body: RoundedBox,
 ) -> int:
     """Clearance cost of a step between two feet (3,); -1 if it hits an obstacle or climbs too far.
 
@@ -143,7 +141,7 @@ def _extra_cost(
     x, y = 0.5 * (support[0] + swing[0]), 0.5 * (support[1] + swing[1])
     turn = (swing[2] - support[2] + math.pi) % (2 * math.pi) - math.pi
     yaw = support[2] + 0.5 * turn
-    if not box_free(lattice.terrain, x, y, math.cos(yaw), math.sin(yaw), body[0], body[1]):
+    if not box_free(lattice.terrain, x, y, math.cos(yaw), math.sin(yaw), body):
         return -1
     if len(lattice.node_um) > 0 and not feet_climb(
         lattice, foot_at(support), foot_at(swing), heights_um[0], heights_um[1], side
@@ -160,7 +158,7 @@ def check_seeds(
     feet: FloatArray,
     height_um: Int64s,
     ok: NDArray[np.bool_],
-    body: tuple[float, float],
+    body: RoundedBox,
     seeds_um: Int64s,
 ) -> None:
     """Adds clearance to the costs (m, 2) of first steps; 0 for those that are not valid."""
@@ -265,7 +263,7 @@ class PathFootsteps:
                 seeds_um[:, side] = step_costs(
                     standing, swing[: len(seeds_um)], side.outward, model
                 )
-        body = half_box(model.body, stance.pair_margin_m)
+        body = rounded_box(model.body, stance.pair_margin_m)
         standing_um = np.rint(stance.feet_m * MICRO).astype(np.int64)
         ground = self._feet, self._height_um, ok
         check_seeds(lattice, stance.feet, standing_um, *ground, body, seeds_um)

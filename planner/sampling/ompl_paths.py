@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 from ompl import base, geometric, util
 
-from planner.collision import Terrain, box_free, point_clearance
+from planner.collision import Terrain, box_free, point_clearance, radius_of
 from planner.compiled import njit_no_refcount
 from planner.lattice.steps import MICRO
-from planner.robot_model import StepModel, half_box
+from planner.robot_model import RoundedBox, StepModel, rounded_box
 
 FloatArray = NDArray[np.float64]
 _RANGE_M = 2.0  # longest motion that extends a tree
@@ -32,14 +32,14 @@ _CHECK_M = 0.03  # between checks of a motion near obstacles; footsteps are chec
 
 
 class Outline(NamedTuple):
-    """Boxes of a robot that stands at a pair pose, as half lengths and half widths with margins.
+    """Boxes of a robot that stands at a pair pose, widened by their margins.
 
     body: centred on the pose. feet: each half_stance_m beside it. climb_um: how far one step may
     fall and rise.
     """
 
-    body: tuple[float, float]
-    feet: tuple[float, float]
+    body: RoundedBox
+    feet: RoundedBox
     half_stance_m: float
     climb_um: tuple[int, int]
 
@@ -47,8 +47,8 @@ class Outline(NamedTuple):
 def outline_of(model: StepModel) -> Outline:
     """The outline of a step model."""
     return Outline(
-        body=half_box(model.body, model.body_margin_m),
-        feet=half_box(model.foot, model.foot_margin_m),
+        body=rounded_box(model.body, model.body_margin_m),
+        feet=rounded_box(model.foot, model.foot_margin_m),
         half_stance_m=model.stance_width_m / 2,
         climb_um=(round(model.limits.z_m[0] * MICRO), round(model.limits.z_m[1] * MICRO)),
     )
@@ -58,12 +58,11 @@ def outline_of(model: StepModel) -> Outline:
 def can_stand(terrain: Terrain, outline: Outline, x: float, y: float, yaw: float) -> bool:
     """Whether body and both feet are free at a pair pose."""
     cos, sin = math.cos(yaw), math.sin(yaw)
-    if not box_free(terrain, x, y, cos, sin, outline.body[0], outline.body[1]):
+    if not box_free(terrain, x, y, cos, sin, outline.body):
         return False
     dx, dy = -sin * outline.half_stance_m, cos * outline.half_stance_m
-    half_l, half_w = outline.feet
-    return box_free(terrain, x + dx, y + dy, cos, sin, half_l, half_w) and box_free(
-        terrain, x - dx, y - dy, cos, sin, half_l, half_w
+    return box_free(terrain, x + dx, y + dy, cos, sin, outline.feet) and box_free(
+        terrain, x - dx, y - dy, cos, sin, outline.feet
     )
 
 
@@ -80,8 +79,7 @@ def can_move(
     between two of them the floor may rise no more than in a step.
     """
     turn = (end[2] - start[2] + math.pi) % (2 * math.pi) - math.pi
-    half_l, half_w = outline.body
-    radius = math.sqrt(half_l * half_l + half_w * half_w)
+    radius = radius_of(outline.body)
     length = max(math.hypot(end[0] - start[0], end[1] - start[1]), abs(turn) * radius)
     done = 0.0
     uneven = len(terrain.height_um) > 0
@@ -92,7 +90,7 @@ def can_move(
         room = point_clearance(terrain, x, y) - radius
         if room <= 0.0:
             yaw = start[2] + share * turn
-            if not box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), half_l, half_w):
+            if not box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), outline.body):
                 return False
         if uneven:
             height = _height(terrain, x, y)

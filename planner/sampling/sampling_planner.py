@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid, distance_field
-from planner.collision import Terrain
+from planner.collision import Terrain, radius_of
 from planner.heuristics.heuristic import tables_of
 from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import MICRO
@@ -219,7 +219,7 @@ def _bridge_gap(
 def search_corridor(query: GridRequest, path: FloatArray) -> tuple[Footsteps | None, int]:
     """Steps by ARA* in a corridor along a path, or None; and the expansions."""
     request, expansions = query.request, 0
-    radius_m = math.hypot(*request.lattice.body)
+    radius_m = radius_of(request.lattice.body)
     options = replace(query.options, name="ara")
     for room_m in _CORRIDORS_M:
         window = corridor_along(request.lattice.terrain, path[:, :2], radius_m + room_m)

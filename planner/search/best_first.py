@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.collision import clearance_at
+from planner.collision import clearance_at, radius_of
 from planner.compiled import (
     BITS,
     LOW,
@@ -50,7 +50,6 @@ from planner.lattice.lattice import (
     far_from_all,
     out_of_frame,
     pair_free,
-    radius_of,
     step_climbs,
 )
 

@@ -86,7 +86,7 @@ def _plan_to_point(request: Request, options: PlannerOptions) -> FirstPlan | Non
     bodies = context.body_cells(nodes)
     cells = np.unique(bodies)
     # With room to walk ahead steps can follow it nearly always.
-    roomy = replace(potential, reach_m=max(lattice.body[1], potential.reach_m))
+    roomy = replace(potential, reach_m=max(lattice.body[1] + lattice.body[2], potential.reach_m))
     wide = path_toward(lattice, roomy, cells)
     is_wide = wide.reaches_any(cells)
     if not is_wide and wide.is_large and not leads_to_goal(lattice, potential, cells):

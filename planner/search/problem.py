@@ -133,7 +133,7 @@ class Request:
 
     @property
     def pair_margin_m(self) -> float:
-        """Margin of the body's box at the pair pose of the first step."""
+        """Margin of the body at the pair pose of the first step."""
         return 0.0 if self.stands else self.model.body_margin_m
 
     @property
