@@ -20,8 +20,10 @@ from app.evaluation.parts import (
 )
 from app.evaluation.report_text import beside_rows, plain_joint
 from app.output import replacing
+from app.pictures import canvas
+from app.pictures.canvas import hex_of
 
-LEFT, RIGHT, GREY = "#1f77b4", "#d62728", "#8a8f98"
+LEFT, RIGHT, GREY = hex_of(canvas.LEFT), hex_of(canvas.RIGHT), "#8a8f98"
 UP, DOWN = THIS, OTHER = "#0b7a75", "#c8553d"
 CYCLE_TIME = "time in the gait cycle from the right foot's lift-off, s"
 

@@ -40,6 +40,11 @@ _LONGEST_PX, _MOST_PX_PER_M = 1600, 240
 LARGE_MAP_M = 12.0
 
 
+def hex_of(colour: Colour) -> str:
+    """The colour as matplotlib takes it, such as #1e6ec8."""
+    return "#{:02x}{:02x}{:02x}".format(*colour[::-1])
+
+
 def height_range(grid: OccupancyGrid) -> tuple[float, float]:
     """Lowest and highest free floor of a map in metres."""
     if grid.elevation_m is None:

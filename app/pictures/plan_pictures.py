@@ -30,6 +30,7 @@ from app.pictures.canvas import (
     draw_plan,
     height_colour,
     height_range,
+    hex_of,
     put_text,
     sole_corners,
     surroundings,
@@ -43,7 +44,7 @@ _PALE, _OUTLINE = 230, (170, 170, 170)  # paler swatches than this get an outlin
 LEAST_WIDTH_PX = 640
 LINE_HEIGHT_PX = 26
 _GAP_PX = 16
-FEET = {Side.LEFT: "#1f77b4", Side.RIGHT: "#d62728"}
+FEET = {Side.LEFT: hex_of(LEFT), Side.RIGHT: hex_of(RIGHT)}
 GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown
 
 
