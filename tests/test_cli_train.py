@@ -95,6 +95,7 @@ def test_checkpoint_that_cannot_be_taken_up_is_told_in_one_line(
     assert error == "error: checkpoint.pt is from another layout\n"
 
 
+@pytest.mark.slow
 def test_corpus_of_another_robot_is_refused(tmp_path, trainers, capsys):
     plans = tmp_path / "plans"
     plans.mkdir()

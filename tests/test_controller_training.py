@@ -26,6 +26,7 @@ from planner.planner import plan_footsteps
 from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 
+ROBOT = get_robot("jvrc1")
 TINY = TrainConfig(
     samples=2 * 2 * 64,
     updates_per_segment=2,
@@ -103,19 +104,17 @@ def test_what_is_planned_lies_within_what_is_trained(name):
 
 
 def test_standing_mode_has_no_steps():
-    robot = get_robot("jvrc1")
     feet = np.array([[0.0, 0.1, 0, 0], [0.0, -0.1, 0, 0]])
-    sequence = draw_sequence(np.random.default_rng(0), robot.step_model, feet, mode="standing")
+    sequence = draw_sequence(np.random.default_rng(0), ROBOT.step_model, feet, mode="standing")
     assert len(sequence.side) == 2
 
 
 def test_same_seed_same_episodes_whatever_the_threads():
-    robot = get_robot("jvrc1")
     rng = np.random.default_rng(0)
     actions = 0.2 * rng.normal(size=(60, 6, 12))
     runs = []
     for threads in (1, 2):
-        task = WalkTask(robot, count=6, seed=11, threads=threads)
+        task = WalkTask(ROBOT, count=6, seed=11, threads=threads)
         runs.append([task.step(action) for action in actions])
     for first, second in zip(*runs, strict=True):
         assert np.array_equal(first.observation, second.observation)
@@ -125,8 +124,7 @@ def test_same_seed_same_episodes_whatever_the_threads():
 
 def test_a_fall_terminates_and_does_not_truncate():
     """Legs let go: the targets fold the knees, and the pelvis sinks below its limit."""
-    robot = get_robot("jvrc1")
-    task = WalkTask(robot, count=3, seed=0, mode="standing")
+    task = WalkTask(ROBOT, count=3, seed=0, mode="standing")
     fold = np.array([-1.0, 0, 0, 2.0, 0, -1.0] * 2)
     for _ in range(200):
         step = task.step(np.tile(fold, (3, 1)))
@@ -138,8 +136,7 @@ def test_a_fall_terminates_and_does_not_truncate():
 
 
 def test_a_full_episode_truncates_and_does_not_terminate():
-    robot = get_robot("jvrc1")
-    task = WalkTask(robot, count=2, seed=0, mode="standing", config=TaskConfig(episode_ticks=5))
+    task = WalkTask(ROBOT, count=2, seed=0, mode="standing", config=TaskConfig(episode_ticks=5))
     ends = [task.step(np.zeros((2, 12))) for _ in range(5)]
     assert not any(step.truncated.any() or step.terminated.any() for step in ends[:4])
     assert ends[4].truncated.all()
@@ -147,8 +144,7 @@ def test_a_full_episode_truncates_and_does_not_terminate():
 
 
 def test_simulation_that_leaves_the_finite_numbers_ends_its_episode_only():
-    robot = get_robot("jvrc1")
-    task = WalkTask(robot, count=3, seed=0, mode="standing")
+    task = WalkTask(ROBOT, count=3, seed=0, mode="standing")
     task.walker.sim.qvel[1] = np.nan
     step = task.step(np.zeros((3, 12)))
     assert step.failed.tolist() == [False, True, False]
@@ -158,11 +154,11 @@ def test_simulation_that_leaves_the_finite_numbers_ends_its_episode_only():
     assert np.isfinite(step.critic_observation).all()
 
 
+@pytest.mark.slow
 def test_held_out_assessment_repeats_and_counts_each_landing():
-    robot = get_robot("jvrc1")
-    policy, config = load_policy(robot), TaskConfig(episode_ticks=150)
+    policy, config = load_policy(ROBOT), TaskConfig(episode_ticks=150)
     first, again, other = (
-        assess_mode(robot, policy, "forward", episodes=4, seed=seed, config=config)
+        assess_mode(ROBOT, policy, "forward", episodes=4, seed=seed, config=config)
         for seed in (1, 1, 2)
     )
     # Up to 20 ticks of waiting, 14 of weight shift, then 44 a step: two or three steps each.
@@ -175,8 +171,7 @@ def test_held_out_assessment_repeats_and_counts_each_landing():
 
 
 def test_policy_acts_as_its_layers_worked_by_hand():
-    robot = get_robot("jvrc1")
-    policy = small_policy(robot)
+    policy = small_policy(ROBOT)
     observation = np.random.default_rng(3).normal(size=(2, 41))
     (w1, b1), (w2, b2) = policy.layers
     scaled = (observation - policy.offset) / policy.scale
@@ -185,10 +180,9 @@ def test_policy_acts_as_its_layers_worked_by_hand():
 
 
 def test_policy_comes_back_from_its_files(tmp_path):
-    robot = get_robot("jvrc1")
-    policy = small_policy(robot)
+    policy = small_policy(ROBOT)
     save_policy(policy, tmp_path / "p.safetensors")
-    again = load_policy(robot, tmp_path / "p.safetensors")
+    again = load_policy(ROBOT, tmp_path / "p.safetensors")
     observation = np.random.default_rng(0).normal(size=(3, 41))
     assert np.array_equal(again.act(observation), policy.act(observation))
     assert again.about["note"] == "a test's"
@@ -196,33 +190,32 @@ def test_policy_comes_back_from_its_files(tmp_path):
 
 
 def test_policy_that_does_not_fit_is_refused_saying_why(tmp_path):
-    robot = get_robot("jvrc1")
     path = tmp_path / "p.safetensors"
     with pytest.raises(PolicyError, match=r"no policy file .*p\.safetensors"):
-        load_policy(robot, path)
-    save_policy(small_policy(robot), path)
-    other = replace(robot, name="someone_else")
+        load_policy(ROBOT, path)
+    save_policy(small_policy(ROBOT), path)
+    other = replace(ROBOT, name="someone_else")
     with pytest.raises(PolicyError, match="its robot is jvrc1, someone_else needs"):
         load_policy(other, path)
     about = json.loads(path.with_suffix(".json").read_text())
     about["observation"][0][1] = 3
     path.with_suffix(".json").write_text(json.dumps(about))
     with pytest.raises(PolicyError, match="its observation is"):
-        load_policy(robot, path)
-    save_policy(small_policy(robot), path)
+        load_policy(ROBOT, path)
+    save_policy(small_policy(ROBOT), path)
     path.write_bytes(path.read_bytes()[:-40])
     with pytest.raises(PolicyError, match="damaged"):
-        load_policy(robot, path)
-    save_policy(small_policy(robot), path)
+        load_policy(ROBOT, path)
+    save_policy(small_policy(ROBOT), path)
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
     path.write_bytes(bytes(content))
     with pytest.raises(PolicyError, match="sha256"):
-        load_policy(robot, path)
+        load_policy(ROBOT, path)
 
 
 def train(tmp_path, name, config, *, resume=False, threads=1) -> Trainer:
-    trainer = Trainer(get_robot("jvrc1"), config, tmp_path / name, threads=threads, command="test")
+    trainer = Trainer(ROBOT, config, tmp_path / name, threads=threads, command="test")
     if resume:
         trainer.resume()
     trainer.run(lambda report: None)
@@ -234,10 +227,11 @@ def weights_of(trainer: Trainer) -> list[np.ndarray]:
     return [array for layer in trainer.ppo.actor.mlp.layers() for array in layer]
 
 
+@pytest.mark.slow
 def test_run_cut_off_and_resumed_gives_the_policy_of_the_whole_run(tmp_path):
     whole = train(tmp_path, "whole", TINY, threads=2)
     # A killed run has the whole run's schedule: give its checkpoint that configuration.
-    cut = Trainer(get_robot("jvrc1"), TINY, tmp_path / "cut2", threads=1, command="test")
+    cut = Trainer(ROBOT, TINY, tmp_path / "cut2", threads=1, command="test")
     (tmp_path / "cut2").mkdir()
     reports = []
 
@@ -262,13 +256,12 @@ def test_training_changes_the_policy_and_another_seed_another_way(tmp_path):
     first = weights_of(train(tmp_path, "a", TINY))
     other = weights_of(train(tmp_path, "b", replace(TINY, seed=1)))
     assert not np.array_equal(first[0], other[0])
-    saved = load_policy(get_robot("jvrc1"), tmp_path / "a" / "jvrc1.safetensors")
+    saved = load_policy(ROBOT, tmp_path / "a" / "jvrc1.safetensors")
     assert saved.about["trained"]["seed"] == 0
 
 
 def test_planned_steps_are_pieces_of_plans_with_either_foot_first():
-    robot = get_robot("jvrc1")
-    model = robot.step_model
+    model = ROBOT.step_model
     plans = [
         plan_footsteps(
             empty_floor(), model, start=(1, 1, 0), goal=goal, options=PlannerOptions(refine=False)
@@ -276,7 +269,7 @@ def test_planned_steps_are_pieces_of_plans_with_either_foot_first():
         for goal in ((2.5, 1.2, 0.4), (1.0, 1.0, 0.0))
     ]
     assert [len(plan) > 0 for plan in plans] == [True, False]
-    planned = PlannedSteps.of(corpus_of(plans, "jvrc1"), "jvrc1", robot.training_model)
+    planned = PlannedSteps.of(corpus_of(plans, "jvrc1"), "jvrc1", ROBOT.training_model)
     feet = feet_at((0.0, 0.0, 0.0), model.stance_width_m)
     rng, firsts = np.random.default_rng(0), set()
     for _ in range(20):
@@ -299,8 +292,7 @@ def empty_floor():
 
 def test_an_older_policy_does_not_look_at_the_durations_of_steps(tmp_path):
     """Before steps had durations of their own, observations ended with the steps."""
-    robot = get_robot("jvrc1")
-    paced = small_policy(robot)
+    paced = small_policy(ROBOT)
     assert paced.is_paced
     (w1, b1), last = paced.layers
     older = replace(
@@ -311,7 +303,7 @@ def test_an_older_policy_does_not_look_at_the_durations_of_steps(tmp_path):
         about={**paced.about, "observation": paced.about["observation"][:-1]},
     )
     save_policy(older, tmp_path / "old.safetensors")
-    again = load_policy(robot, tmp_path / "old.safetensors")
+    again = load_policy(ROBOT, tmp_path / "old.safetensors")
     assert not again.is_paced
     observation = np.random.default_rng(1).normal(size=(2, 41))
     other = observation + np.r_[np.zeros(39), 1.0, 1.0]
@@ -320,10 +312,9 @@ def test_an_older_policy_does_not_look_at_the_durations_of_steps(tmp_path):
 
 
 def test_episodes_take_steps_of_drawn_durations_and_stairs_none_too_quick():
-    robot = get_robot("jvrc1")
     config = TaskConfig(paced_share=1.0, step_s=(0.7, 1.4))
     for mode, low in (("forward", 0.7), ("stairs", 1.1)):
-        task = WalkTask(robot, count=64, seed=2, mode=mode, config=config, stage=Stage(rise_m=0.1))
+        task = WalkTask(ROBOT, count=64, seed=2, mode=mode, config=config, stage=Stage(rise_m=0.1))
         task.walker.cursor.entry[:] = 2
         task.walker.cursor.standing[:] = False
         step_s = task.walker.cursor.step_s
@@ -332,6 +323,6 @@ def test_episodes_take_steps_of_drawn_durations_and_stairs_none_too_quick():
         assert len(np.unique(step_s[:, 0])) > 8
         # In some episodes the duration changes from step to step, in most it does not.
         assert 0.5 < np.mean(step_s[:, 0] == step_s[:, 1]) < 1.0
-    own = WalkTask(robot, count=8, seed=2, config=TaskConfig(paced_share=0.0))
+    own = WalkTask(ROBOT, count=8, seed=2, config=TaskConfig(paced_share=0.0))
     own.walker.cursor.entry[:] = 2
     assert own.walker.cursor.step_s == pytest.approx(np.full((8, 2), 1.1))

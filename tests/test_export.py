@@ -36,6 +36,7 @@ def told(exported) -> dict[str, str]:
     return {entry.key: entry.value for entry in onnx.load(exported).metadata_props}
 
 
+@pytest.mark.slow
 def test_the_runtime_that_people_use_gives_the_actions_of_the_policy(exported):
     runtime = pytest.importorskip("onnxruntime", reason="comes with the extra `test`")
     robot = get_robot("jvrc1")
