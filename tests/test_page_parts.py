@@ -14,8 +14,7 @@ from app.viewer.obstacles import Obstacle, snapped, with_obstacles
 from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, toward
 from app.viewer.scene import on_floor
-from app.viewer.session import SimulationClock
-from app.viewer.snapshot import Snapshot
+from app.viewer.session import SimulationClock, Snapshot
 from maps.grid import OccupancyGrid
 
 GRID = OccupancyGrid(cells=np.zeros((20, 30), np.uint8), resolution_m=0.1, origin=(5.0, -3.0, 0.5))

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from app.navigation.navigator import Navigator, NavigatorConfig
-from app.viewer.live_navigator import LiveNavigator, Replanner
+from app.viewer.live_navigator import LiveNavigator, Replanner, WalkHistory
 from app.viewer.obstacles import Obstacle, snapped
 from app.viewer.planner_process import Answer
 from app.viewer.session import Session
-from app.viewer.snapshot import WalkHistory
 from controller.evaluation.gait_summary import LEAST_STEPS
 from planner.options import PlannerOptions
 from planner.planner import Planner

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from app.viewer.camera import overview
+from app.viewer.live_navigator import Notice
 from app.viewer.page import Page, open_page
-from app.viewer.snapshot import Notice, Snapshot
+from app.viewer.session import Snapshot
 from benchmarks.page_watcher import Watcher, painted_in_background
 from planner.plan import FootstepPlan
 from tests.scenes import HALL, POLICY, ROBOT, wait_until

@@ -1,8 +1,9 @@
-"""A navigator that can be told something else at any time, and the asking for its plans."""
+"""A navigator that can be told something else at any time, its history, and who asks for plans."""
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,7 +12,6 @@ import numpy as np
 from app.navigation.navigator import FootstepPlanner, Navigator, Placed
 from app.navigation.report import Outcome
 from app.viewer.planner_process import Answer, PlannerProcess
-from app.viewer.snapshot import Notice, WalkHistory
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
@@ -20,10 +20,12 @@ from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
 from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, from_frame, pair_pose
 from planner.robot_model import Side
-from sim.scene import scene_of
+from sim.scene import min_clearance_m, scene_of
 
 # A robot that stands is not simulated for longer: its feet would creep, and nobody would gain.
 _REST_AFTER_S = 2.0
+FORCE_WINDOW_S = 6.0
+_PATH_EVERY_TICKS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,6 +169,66 @@ class LiveNavigator(Navigator):
         replanned = self.followed and self.followed[-1][0] == self.time_s
         if waiting is not None and self._waits_for == self.landings and not replanned:
             self._follow(waiting, wait_ticks=0, walking=True)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Notice:
+    """Something that went wrong, in words, and a pose that would do instead, if one is known.
+
+    Both poses are goals, or with `puts_robot` places for the robot to begin anew.
+    """
+
+    text: str
+    refused: Pose | None = None
+    alternative: Pose | None = None
+    puts_robot: bool = False
+
+
+class WalkHistory:
+    """What plots and footprints show of a walk, filled by the physics; arrays as in `Snapshot`.
+
+    They are replaced, never changed, so any thread may read them.
+    """
+
+    def __init__(self) -> None:
+        self._forces: deque[tuple[float, float, float]] = deque(
+            maxlen=round(FORCE_WINDOW_S / CONTROL_PERIOD_S)
+        )
+        self._ticks = 0
+        self.walk = 0
+        self.clearance_m: float | None = None
+        self.placed_side = np.zeros(0, np.int8)
+        self.placed_world = np.zeros((0, 4))
+        self.foot_error_m = np.zeros(0)
+        self.path_world = np.zeros((0, 2))
+
+    def begin(self, navigator: Navigator) -> None:
+        """A new walk: what is known of the one before is forgotten."""
+        self.walk += 1
+        self.clearance_m = None
+        self.landed(navigator)
+
+    def ticked(self, navigator: Navigator) -> None:
+        """Notes the forces on the feet."""
+        self._ticks += 1
+        sensors = navigator.scene.sensors.ground_force_world[:, 2]
+        left, right = navigator.walker.sim.sensors[0, :, sensors].mean(axis=-1)
+        self._forces.append((self._ticks * CONTROL_PERIOD_S, float(left), float(right)))
+
+    def landed(self, navigator: Navigator) -> None:
+        """Notes a step that was taken, and how near a wall the robot is."""
+        placed = navigator.placed
+        self.placed_side = np.array([step.side for step in placed], np.int8)
+        self.placed_world = np.array([step.placed_world for step in placed]).reshape(-1, 4)
+        self.foot_error_m = np.array([step.error_m for step in placed])
+        self.path_world = np.array([qpos[:2] for qpos in navigator.qpos[::_PATH_EVERY_TICKS]])
+        near = min_clearance_m(navigator.scene, navigator.qpos[-1][None])
+        if near is not None:
+            self.clearance_m = min(near, self.clearance_m or near)
+
+    def forces(self) -> np.ndarray:
+        """Time in s and upward force on the left and right foot in N, (3, T), the latest last."""
+        return np.array(list(self._forces) or [(0.0, 0.0, 0.0)]).T
 
 
 @dataclass(frozen=True, kw_only=True)

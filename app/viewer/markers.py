@@ -9,7 +9,7 @@ import viser
 
 from app.pictures.canvas import GOAL, LEFT, RIGHT
 from app.viewer.scene import FLOOR_RGB, Rgb, blended, quad_faces, turned
-from app.viewer.snapshot import Snapshot
+from app.viewer.session import Snapshot
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan, Pose
 from planner.robot_model import FootShape, Side

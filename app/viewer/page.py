@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from app.options import load_walker
 from app.viewer.camera import Cameras
+from app.viewer.live_navigator import Notice
 from app.viewer.markers import Footprints, PoseMarkers
 from app.viewer.obstacles import Obstacle, ObstacleEditor
 from app.viewer.panel import Panel
@@ -28,8 +29,7 @@ from app.viewer.pointer import (
 )
 from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
-from app.viewer.session import Session
-from app.viewer.snapshot import Notice, Snapshot
+from app.viewer.session import Session, Snapshot
 from controller.observation import pelvis_yaw_rad
 from controller.policy import Policy
 from maps.grid import OccupancyGrid

@@ -12,11 +12,11 @@ import numpy as np
 import viser
 from viser import uplot
 
+from app.viewer.live_navigator import Notice
 from app.viewer.markers import SIDE_RGB
 from app.viewer.obstacles import ObstacleEditor
 from app.viewer.pointer import Tool
-from app.viewer.session import Session
-from app.viewer.snapshot import Notice, Snapshot
+from app.viewer.session import Session, Snapshot
 from planner.options import PLANNERS
 from planner.plan import Pose
 from planner.robot_model import Side

@@ -10,21 +10,22 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial, wraps
 from typing import Any, Concatenate, ParamSpec
 
+import numpy as np
+
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.output import InputError
-from app.viewer.live_navigator import LiveNavigator, Replanner
+from app.viewer.live_navigator import LiveNavigator, Notice, Replanner, WalkHistory
 from app.viewer.obstacles import Obstacle, with_obstacles
 from app.viewer.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
-from app.viewer.snapshot import Notice, Snapshot, WalkHistory
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
-from planner.plan import Pose, finite_pose
+from planner.plan import FootstepPlan, Pose, finite_pose
 from sim.robot import Robot
 
 # Simulated time that is behind real time by more than this is not caught up.
@@ -34,6 +35,38 @@ _MEASURED_OVER_S = 1.0
 ROOM_FOR_ROBOT_M = 0.45
 _IDLE_WAIT_S = 0.05
 _SNAPSHOT_EVERY_S = 1 / 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """The robot, its plan and its walk so far; times in s, of the simulation unless said.
+
+    `start` is where a reset puts the robot, `goal` where it walks or has walked to, `requested` a
+    goal that is being planned for. `done` steps of `plan` have been taken.
+    placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
+    path_world (T, 2) of the body, four points a second. `speed` is simulated over real time as it
+    is reached; `answer_s` the real time from question to plan. `walk` counts the walks begun.
+    """
+
+    qpos: np.ndarray
+    time_s: float = 0.0
+    walk: int = 0
+    start: Pose = (0.0, 0.0, 0.0)
+    goal: Pose | None = None
+    requested: Pose | None = None
+    plan: FootstepPlan | None = None
+    done: int = 0
+    placed_side: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
+    placed_world: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    foot_error_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    path_world: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    status: str = "standing"
+    replans: int = 0
+    answer_s: float | None = None
+    clearance_m: float | None = None
+    goal_error: tuple[float, float] | None = None
+    speed: float = 0.0
+    notice: Notice | None = None
 
 
 class SimulationClock:
