@@ -7,12 +7,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 from numpy.typing import DTypeLike, NDArray
+
+from planner.cache import cache_folder
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _jit: Any = njit  # its types do not know of the option
+_config: Any = config
 
 
 def njit_no_refcount(function: _Function) -> _Function:
@@ -22,8 +25,7 @@ def njit_no_refcount(function: _Function) -> _Function:
     more time than the search itself. Where none are made, which the compiler checks, the caller
     holds all of them.
     """
-    compiled: _Function = _jit(cache=True, _nrt=False)(function)
-    return compiled
+    return _compiled(function, _nrt=False)
 
 
 def njit_arrays(function: _Function) -> _Function:
@@ -31,7 +33,21 @@ def njit_arrays(function: _Function) -> _Function:
 
     Needed for each that an `njit_no_refcount` function calls: it would else do as its caller does.
     """
-    compiled: _Function = _jit(cache=True, _nrt=True)(function)
+    return _compiled(function, _nrt=True)
+
+
+def _compiled(function: _Function, **options: bool) -> _Function:
+    """The function, compiled when it is called, or taken from the cache of these sources.
+
+    numba asks where the cache is when a function is decorated, so it is told for that long only:
+    other code in the process keeps to its own.
+    """
+    folder, before = cache_folder(), _config.CACHE_DIR
+    _config.CACHE_DIR = str(folder or "")
+    try:
+        compiled: _Function = _jit(cache=folder is not None, **options)(function)
+    finally:
+        _config.CACHE_DIR = before
     return compiled
 
 

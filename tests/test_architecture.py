@@ -26,7 +26,7 @@ MAY_IMPORT = {
 
 # Room of the planner -> what it may import of the planner, besides itself.
 _BASE = (
-    *("compiled", "robot_model", "plan", "options"),
+    *("cache", "compiled", "robot_model", "plan", "options"),
     "collision",
 )
 PLANNER_ROOMS = {

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import math
 from functools import lru_cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.cache import cache_folder, source_digest
 from planner.compiled import njit_arrays, njit_no_refcount
 from planner.heuristics.distance_field import least_in_cells, path_costs
 from planner.heuristics.goal_table import GoalTable, build_goal_table
 from planner.heuristics.potential import Potential, build_potential
+from planner.heuristics.table_file import read_tables, write_tables
 from planner.heuristics.turning import (
     ExitTable,
     TurnEstimate,
@@ -38,9 +43,30 @@ class Tables(NamedTuple):
     turns: TurnEstimate
 
 
+_KINDS = StepTable, Potential, GoalTable, ExitTable, TurnEstimate
+
+
 @lru_cache(maxsize=8)
 def tables_of(model: StepModel) -> Tables:
-    """The tables of a step model; made at the first call, which takes a while."""
+    """The tables of a step model, which are made once and then kept in a file of the cache."""
+    folder = cache_folder()
+    if folder is None:
+        return _build_tables(model)
+    # A float's repr tells it to the last bit.
+    key = f"{source_digest()} numpy {np.__version__} opencv {cv2.__version__} {model!r}"
+    path = folder / f"tables-{hashlib.sha256(key.encode()).hexdigest()[:16]}"
+    kept = read_tables(path, key, _KINDS)
+    if kept is None:
+        made = _build_tables(model)
+        # Where the disk is full they are made again the next time.
+        with contextlib.suppress(OSError):
+            write_tables(path, key, made)
+        # Of what was read the arrays are laid out in one way, for which the search is compiled.
+        kept = read_tables(path, key, _KINDS) or list(made)
+    return Tables(*kept)
+
+
+def _build_tables(model: StepModel) -> Tables:
     steps = build_step_table(model)
     potential = build_potential(model, steps)
     goal_table = build_goal_table(model, steps, potential)
