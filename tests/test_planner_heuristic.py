@@ -7,8 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
+from shapely import affinity
 
 from planner.heuristics.heuristic import Tables, tables_of
+from planner.heuristics.potential import union_depths
 from planner.options import HEURISTICS, PlannerOptions
 from planner.planner import Planner
 from planner.search.first_plan import find_first_plan
@@ -148,3 +151,31 @@ def test_the_quick_search_gives_a_valid_plan_and_a_true_bound(name):
     assert quick is not None
     assert quick.lower_bound_um / 1e6 <= best_m + 1e-5
     assert quick.cost_um / 1e6 >= best_m - 1e-5
+
+
+@pytest.mark.parametrize("is_aligned", [False, True])
+def test_the_depth_in_a_union_of_boxes_is_the_distance_from_its_rim(is_aligned):
+    rng = np.random.default_rng(3)
+    half, count = np.array([0.12, 0.18]), 60
+    points = rng.uniform(-0.25, 0.25, (count, 2))
+    centres, yaws = rng.uniform(-0.25, 0.25, (count, 3, 2)), rng.uniform(-3, 3, (count, 3))
+    if is_aligned:  # as in straight walks: sides lie on one line
+        centres[..., 1], yaws[:] = centres[:, :1, 1], 0.3
+        centres @= np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    depths, inside = union_depths(points, centres, yaws, half), 0
+    box = shapely.box(*-half, *half)
+    for k, (x, y) in enumerate(points):
+        parts = [
+            affinity.translate(affinity.rotate(box, yaw, (0, 0), use_radians=True), *centre)
+            for centre, yaw in zip(centres[k], yaws[k], strict=True)
+        ]
+        # Rounding may leave a hair between sides that lie on one line.
+        union = shapely.union_all(parts, grid_size=1e-9)
+        if union.contains(shapely.Point(x, y)):
+            assert depths[k] == pytest.approx(
+                union.boundary.distance(shapely.Point(x, y)), abs=1e-6
+            )
+            inside += 1
+        else:
+            assert depths[k] == pytest.approx(-union.distance(shapely.Point(x, y)), abs=1e-6)
+    assert inside > 15

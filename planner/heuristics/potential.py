@@ -34,6 +34,7 @@ MOVES = np.array(
     [(c, r) for c in range(-2, 3) for r in range(-2, 3) if max(abs(c), abs(r)) == 1]
     + [(c, r) for c in range(-2, 3) for r in range(-2, 3) if {abs(c), abs(r)} == {1, 2}]
 )
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,33 +145,65 @@ def _reach(
     """Least depth over all steps of the cells on its way inside the boxes checked for it."""
     half_m = np.array([model.body.length_m, model.body.width_m]) / 2
     bin_rad = 2 * np.pi / model.headings
-    least = np.inf
+    points, centres, yaws = [], [], []
     for heading, side, k in np.argwhere(table.cost_um > 0):
         index = heading, side, k
-        turn = table.d_heading[index]
         foot = np.array([0.0, Side(side).outward * model.stance_width_m / 2])
-        move = np.array([table.d_col[index], table.d_row[index]]) * model.cell_m
-        swing = move - foot
+        swing = np.array([table.d_col[index], table.d_row[index]]) * model.cell_m - foot
+        yaw = (heading + np.array([0.0, 0.5, 1.0]) * table.d_heading[index]) * bin_rad
         inward = Side(side).outward * model.stance_width_m / 2
-        yaws = heading * bin_rad + np.array([0.0, turn / 2, turn]) * bin_rad
-        centres = np.array(
-            [
-                foot - inward * np.array([-np.sin(yaws[0]), np.cos(yaws[0])]),
-                (foot + swing) / 2,
-                swing + inward * np.array([-np.sin(yaws[2]), np.cos(yaws[2])]),
-            ]
-        )
-        way = (
-            body_cell[heading * 2 + side] + _way(int(cols[index]), int(rows[index]))
-        ) * model.cell_m
-        off = way[:, None, :] - centres[None, :, :]
-        along = np.cos(yaws) * off[..., 0] + np.sin(yaws) * off[..., 1]
-        across = -np.sin(yaws) * off[..., 0] + np.cos(yaws) * off[..., 1]
-        beyond = np.abs(np.stack([along, across])) - half_m[:, None, None]
-        outside_m = np.hypot(*np.maximum(beyond, 0.0))
-        depth = model.body_margin_m - outside_m - np.minimum(beyond.max(axis=0), 0.0)
-        least = min(least, float(depth.max(axis=1).min()))
-    return least
+        beside = inward * np.column_stack([np.sin(yaw), -np.cos(yaw)])
+        way = body_cell[heading * 2 + side] + _way(int(cols[index]), int(rows[index]))
+        points.append(way * model.cell_m)
+        middles = np.array([foot + beside[0], (foot + swing) / 2, swing - beside[2]])
+        centres.append(np.broadcast_to(middles, (len(way), 3, 2)))
+        yaws.append(np.broadcast_to(yaw, (len(way), 3)))
+    boxes = np.concatenate(centres), np.concatenate(yaws)
+    # Boxes widened by a disc reach as much farther as its radius.
+    depths_m = union_depths(np.concatenate(points), *boxes, half_m)
+    return float(depths_m.min()) + model.body_margin_m
+
+
+def union_depths(
+    points: FloatArray, centres: FloatArray, yaws: FloatArray, half: FloatArray
+) -> FloatArray:
+    """Radius (n,) of the largest disc around a point (n, 2) inside the union of its b boxes.
+
+    centres (n, b, 2), yaws (n, b): where the boxes lie; half (2,): half length and half width.
+    For a point outside all boxes its distance from the nearest, negative.
+    """
+    along = np.stack([np.cos(yaws), np.sin(yaws)], axis=-1)
+    axes = np.stack([along, np.stack([-along[..., 1], along[..., 0]], axis=-1)], axis=-2)
+    off = np.einsum("nbij,nbj->nbi", axes, points[:, None] - centres)
+    beyond = np.abs(off) - half
+    outside = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+    alone = (-outside - np.minimum(beyond.max(axis=-1), 0.0)).max(axis=-1)
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half
+    corners = centres[:, :, None] + np.einsum("ki,nbij->nbkj", corners, axes)
+    starts = corners.reshape(len(points), -1, 2)
+    edges = np.roll(corners, -1, axis=2).reshape(starts.shape) - starts
+    # Of each edge the part inside each other box, from and to a share of its length; none where
+    # low is not below high.
+    in_box = np.einsum("nbij,nbej->nebi", axes, starts[:, None] - centres[:, :, None])
+    run = np.einsum("nbij,nej->nebi", axes, edges)
+    parallel = np.abs(run) < _ROUNDING
+    cuts = np.sort(np.stack([-half - in_box, half - in_box]) / np.where(parallel, 1.0, run), axis=0)
+    # An edge along a side of a box is on its rim, not inside, as those of its own are.
+    is_beside = (parallel & (np.abs(in_box) > half - _ROUNDING)).any(axis=-1)
+    low = np.where(is_beside, np.inf, np.where(parallel, -np.inf, cuts[0]).max(axis=-1))
+    high = np.where(is_beside, -np.inf, np.where(parallel, np.inf, cuts[1]).min(axis=-1))
+    # The rim of the union is what no box has in its inside. The nearest of it to the point lies
+    # at its foot on the edge, or at the end of a part.
+    foot = np.einsum("nej,nej->ne", points[:, None] - starts, edges) / (edges**2).sum(axis=-1)
+    shares = np.clip(np.concatenate([foot[..., None], low, high], axis=-1), 0.0, 1.0)
+    covered = (low[..., None, :] + _ROUNDING < shares[..., None]) & (
+        shares[..., None] < high[..., None, :] - _ROUNDING
+    )
+    at = starts[:, :, None] + shares[..., None] * edges[:, :, None]
+    away = np.where(
+        covered.any(axis=-1), np.inf, np.linalg.norm(at - points[:, None, None], axis=-1)
+    )
+    return np.where(alone > 0.0, away.min(axis=(1, 2)), alone)
 
 
 def _way(col: int, row: int) -> IntArray:
