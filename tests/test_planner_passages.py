@@ -10,10 +10,11 @@ import pytest
 from planner.collision import terrain_of
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, NarrowPlace, PlanStatus
-from planner.planner import plan_footsteps
+from planner.planner import Planner, plan_footsteps
 from planner.search.ara_star import AraStar
-from planner.search.passages import is_shut, narrow_place, needed_m
+from planner.search.passages import narrow_place, needed_m
 from planner.search.problem import backward_task
+from planner.search.shut_passages import is_shut
 from planner.verify import violations
 from tests.planner_floor import LATTICE, fine_model, request_of, walled
 from tests.planner_oracle import small_model
@@ -102,6 +103,31 @@ def test_a_door_is_shut_only_if_the_full_search_finds_no_way(cells, thick):
         assert cells * SIZE_M <= needed_m(model) + model.cell_m + 1e-9
 
 
+def boxed(row: int, side: int, *more: tuple[int, int, int, int]):
+    """A floor of 3 m by 5 m with a door of 1 m in a wall, and a box with slits beside it."""
+    boxes = [(0, 50, 20, 52), (40, 50, ROWS, 52), (row, 44, row + side, 58), *more]
+    return walled(ROWS, COLS, boxes, resolution_m=SIZE_M)
+
+
+@pytest.mark.parametrize("name", ["ara", "adstar"])
+def test_a_box_in_a_door_with_slits_on_either_side_shuts_it_without_a_search(name):
+    options = PlannerOptions(name=name, refine=False)
+    grid, (start, goal) = boxed(23, 14), ((0.7, 1.5, 0.0), (4.3, 1.5, 0.0))
+    planner = Planner(walled(ROWS, COLS, resolution_m=SIZE_M), small_model(), options)
+    assert planner.plan(start=start, goal=goal).found
+    planner.take_map(grid)
+    plan = planner.plan(start=start, goal=goal)
+    assert plan.status is PlanStatus.NO_PATH
+    assert plan.narrow_place is not None
+    assert plan.expansions < 20_000
+    # The search that asks nobody comes to the same.
+    request = request_of(grid, small_model(), start, goal)
+    result = AraStar(request, LATTICE, 0.0).run(backward_task(request))
+    assert result.status is PlanStatus.NO_PATH
+    # With a slit that is wide enough there is a way.
+    assert plan_footsteps(boxed(20, 11), small_model(), start=start, goal=goal).found
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_nothing_is_called_shut_that_a_search_gets_through(seed):
     rng = np.random.default_rng(seed)
@@ -110,6 +136,10 @@ def test_nothing_is_called_shut_that_a_search_gets_through(seed):
         row = int(rng.integers(10, 40))
         width, thick = int(rng.integers(6, 10)), int(rng.integers(1, 4))
         boxes += [(0, col, row, col + thick), (row + width, col, ROWS, col + thick)]
+    if seed % 2:  # a box in the last door, with slits beside it
+        side, at = width - int(rng.integers(1, 6)), col + int(rng.integers(-4, 4))
+        low = row + int(rng.integers(0, width - side + 1))
+        boxes += [(low, at, low + side, at + 5)]
     grid, model = walled(ROWS, COLS, tuple(boxes), resolution_m=SIZE_M), fine_model()
     start, goal = (0.5, 1.5, rng.uniform(-3, 3)), (4.5, 1.5, rng.uniform(-3, 3))
     request = request_of(grid, model, start, goal)

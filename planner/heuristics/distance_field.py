@@ -129,15 +129,22 @@ class Strip(NamedTuple):
 
 
 def path_toward(
-    lattice: Lattice, potential: Potential, cells: Int64s, *, margin_moves: int = MARGIN_MOVES
+    lattice: Lattice,
+    potential: Potential,
+    cells: Int64s,
+    *,
+    margin_moves: int = MARGIN_MOVES,
+    shut: Int64s = NO_CELLS,
 ) -> Strip:
     """Path costs from the goal in the strip of cells that A* expands toward the cells (n,).
 
     margin_moves: by how many moves the paths through the strip may be longer than need be.
+    shut (k,): cells that are counted as shut whatever is there.
     """
     ahead = straight_to(lattice, potential, cells)
     beyond_um = ahead.slack_um + margin_moves * ahead.level_um
     cost_um = np.zeros(lattice.cols * lattice.rows, np.int32)
+    cost_um[shut] = SHUT_CELL
     seeds = lattice.goal_cell, np.array([0])
     settled_um = propagate(lattice, cost_um, *seeds, moves_of(potential), cells, beyond_um, ahead)
     return Strip(cost_um, settled_um, lattice.cols, ahead)

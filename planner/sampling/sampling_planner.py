@@ -42,7 +42,6 @@ from planner.sampling.ompl_paths import (
 from planner.sampling.path_headings import choose_headings
 from planner.search.ara_star import plan_ara
 from planner.search.first_plan import is_cut_off
-from planner.search.passages import is_shut
 from planner.search.problem import (
     GoalContext,
     Request,
@@ -52,6 +51,7 @@ from planner.search.problem import (
     no_first_step,
 )
 from planner.search.reachability import Floods
+from planner.search.shut_passages import is_shut
 
 FloatArray = NDArray[np.float64]
 _GAP_EXPANSIONS = 20_000

@@ -32,7 +32,6 @@ from planner.search.best_first import (
     start_iteration,
 )
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan, is_cut_off
-from planner.search.passages import is_shut
 from planner.search.problem import (
     Request,
     Result,
@@ -48,6 +47,7 @@ from planner.search.problem import (
 )
 from planner.search.reachability import Floods, Verdict
 from planner.search.search_record import Moment, search_record
+from planner.search.shut_passages import is_shut
 
 _FIRST = -1  # in place of a node: the best plan is the one that was found before this search
 _CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock

@@ -29,11 +29,14 @@ from planner.search.best_first import (
     new_bins,
     start_iteration,
 )
-from planner.search.passages import is_shut
 from planner.search.problem import Request, SearchTask, best_nodes
+from planner.search.shut_passages import shut_passages
 
 # Weights on the heuristic, most expansions with each, and whether states are binned.
 _TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)
+# A plan of more than so many times the bound is compared with one along the path of the bound.
+_FAR_ABOVE = 1.5
+_SECOND = ((2.0, 250, True),)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +106,29 @@ def _plan_to_point(request: Request, options: PlannerOptions) -> FirstPlan | Non
     first = replace(CUT_OFF, lower_bound_um=bound_um)
     if is_wide:
         first = _plan_along(request, wide, options, _TRIES[:2], first)
-        if len(first.nodes):
+        if len(first.nodes) and first.cost_um <= _FAR_ABOVE * bound_um:
             return first
         path = path_toward(lattice, potential, cells)
+        if len(first.nodes):
+            # A way that is a little too narrow to walk ahead may be far shorter.
+            return _plan_along(request, path, options, _SECOND, first)
     first = _plan_along(request, path, options, _TRIES, first)
-    if len(first.nodes):
-        return first
-    return CUT_OFF if is_shut(request) else None
+    return first if len(first.nodes) else _plan_around(request, options, first)
+
+
+def _plan_around(request: Request, options: PlannerOptions, so_far: FirstPlan) -> FirstPlan | None:
+    """A plan around narrow places that no steps lead through; CUT_OFF if there is no way."""
+    shut, context = shut_passages(request), request.context
+    if shut.is_proven:
+        return CUT_OFF
+    if not len(shut.cells):
+        return None
+    cells = np.unique(context.body_cells(request.first_steps[0]))
+    path = path_toward(request.lattice, context.tables.potential, cells, shut=shut.cells)
+    if not path.reaches_any(cells):
+        return None
+    first = _plan_along(request, path, options, _TRIES, so_far)
+    return first if len(first.nodes) else None
 
 
 def _plan_along(
@@ -119,9 +138,9 @@ def _plan_along(
     tries: Sequence[tuple[float, int, bool]],
     so_far: FirstPlan,
 ) -> FirstPlan:
-    """A plan along a strip, with the expansions so far; without nodes if none is found.
+    """The cheaper of a plan along a strip and the one so far, with the expansions for both.
 
-    Changes the strip's costs.
+    Without nodes if there is neither. Changes the strip's costs.
     """
     task, expansions = _task_in(request, strip), so_far.expansions
     for epsilon, budget, is_binned in tries:
@@ -134,6 +153,8 @@ def _plan_along(
         expansions += tree.expansions
         if tree.best_um < NO_COST:
             found = replace(so_far, nodes=best_nodes(tree), cost_um=tree.best_um)
+            if len(so_far.nodes) and so_far.cost_um <= found.cost_um:
+                found = so_far
             return replace(found, expansions=expansions)
     return replace(so_far, expansions=expansions)
 

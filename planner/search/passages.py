@@ -1,10 +1,6 @@
-"""Narrow passages: where the widest way from start to goal is narrowest, and whether steps pass.
+"""The narrowest place of the widest way from start to goal, by the distance field alone.
 
-The widest way is the one whose least clearance is greatest. Where a body is too wide for its
-narrowest place at any heading that steps allow, a search finds out only after it has expanded all
-that lies before it. So a flood of the lattice over the surroundings of that place alone tells
-whether any steps lead through. If not, the place is closed and the next widest way is looked at,
-until none is left.
+The widest way is the one whose least clearance is greatest.
 """
 
 from __future__ import annotations
@@ -17,24 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain
-from planner.compiled import njit_no_refcount, zeros
-from planner.lattice.frame import points_from_grid, poses_to_grid
-from planner.lattice.lattice import Floats, Int64s, Lattice
-from planner.lattice.steps import moved_cells
+from planner.compiled import njit_no_refcount
+from planner.lattice.lattice import Floats
 from planner.plan import NarrowPlace
 from planner.robot_model import StepModel
-from planner.search.problem import Request
-from planner.search.reachability import BACKWARD, FORWARD, flood, nodes_free
 
 Cells = NDArray[np.int64]
 
 _BISECTIONS = 12
 _ANGLES, _RAY_M, _RAY_STEP_M = 64, 3.0, 1e-3
-# The flood covers what lies nearer to the place than _AROUND_M. It begins with all poses that are
-# farther than _BEFORE_M on the near side, and has passed when it comes as far as _BEHIND_M.
-_AROUND_M, _BEFORE_M, _BEHIND_M = 1.0, 0.5, 0.35
-_MOST_PLACES = 4
-_OUTSIDE, _NEAR_SIDE, _START, _FAR_SIDE, _PASSED = range(5)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,11 +50,11 @@ def narrowest_passage(
     None where no way leads, or where an end is as narrow as any place between.
     """
     low, high = 0.0, float(min(clearance_m[start], clearance_m[goal]))
-    if not _is_way(clearance_m, low, start, goal) or _is_way(clearance_m, high, start, goal):
+    if not is_way(clearance_m, low, start, goal) or is_way(clearance_m, high, start, goal):
         return None
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
-        if _is_way(clearance_m, middle, start, goal):
+        if is_way(clearance_m, middle, start, goal):
             low = middle
         else:
             high = middle
@@ -101,56 +88,17 @@ def needed_m(model: StepModel) -> float:
     return model.body.width_m + 2 * model.body_margin_m
 
 
-def is_shut(request: Request) -> bool:
-    """Whether narrow passages shut the goal's own pose off from the first steps; True is proven.
-
-    Only floors that are flat are looked at.
-    """
-    lattice, reach_m = request.lattice, request.context.tables.potential.reach_m
-    terrain = lattice.terrain
-    if reach_m <= 0 or not terrain.is_flat or not request.context.region.is_point:
-        return False
-    if _longest_move_m(request) > _AROUND_M - _BEFORE_M:
-        return False  # a step might skip the poses that the flood begins with
-    bodies = np.unique(request.context.body_cells(request.first_steps[0]))
-    points_m = _to_grid(lattice, bodies)
-    size_m, clearance_m = terrain.resolution_m, terrain.clearance_m.copy()
-    starts, (goal,) = _cells_at(terrain, points_m), _cells_at(terrain, _origin_m(lattice)[None])
-    start = tuple(starts[np.argmax(clearance_m[starts[:, 0], starts[:, 1]])])
-    ends_m = np.vstack([points_m, _origin_m(lattice)])
-    closed: list[Passage] = []
-    while len(closed) < _MOST_PLACES:
-        passage = narrowest_passage(clearance_m, size_m, start, tuple(goal))
-        # Poses on the lattice may miss the middle of a passage by half a cell, and must not touch.
-        if passage is None or passage.width_m > needed_m(request.model) + 2 * lattice.cell_m:
-            return False
-        middle_m = passage.ends_m.mean(axis=0)
-        if np.linalg.norm(ends_m - middle_m, axis=1).min() < _AROUND_M + size_m:
-            return False
-        if _leads_through(request, passage, passage.before, passage.behind):
-            return False
-        closed.append(passage)
-        _close(clearance_m, size_m, passage)
-        if not _is_way(clearance_m, reach_m - size_m, start, tuple(goal)):
-            # With several places a plan might pass one the other way round.
-            return len(closed) == 1 or not any(
-                _leads_through(request, place, place.behind, place.before) for place in closed
-            )
-    return False
+def components(clearance_m: NDArray[np.float32], radius_m: float) -> NDArray[np.int32]:
+    """Numbers (H, W), from 1, of the parts that ways of more than a clearance connect; 0: none."""
+    _, label = cv2.connectedComponents((clearance_m > radius_m).astype(np.uint8), connectivity=4)
+    return np.asarray(label, np.int32)
 
 
-def _longest_move_m(request: Request) -> float:
-    """How far a step moves the cell of the body at most."""
-    table, potential = request.context.tables.steps, request.context.tables.potential
-    moves = moved_cells(table, potential.body_cell)[table.cost_um > 0]
-    return float(np.hypot(*moves.T).max()) * request.lattice.cell_m
-
-
-def _is_way(
+def is_way(
     clearance_m: NDArray[np.float32], radius_m: float, start: tuple[int, ...], goal: tuple[int, ...]
 ) -> bool:
     """Whether a way between two cells keeps more than a clearance."""
-    _, label = cv2.connectedComponents((clearance_m > radius_m).astype(np.uint8), connectivity=4)
+    label = components(clearance_m, radius_m)
     return bool(label[start] == label[goal] > 0)
 
 
@@ -239,115 +187,10 @@ def _shortest_chord(
     )
 
 
-def _close(clearance_m: NDArray[np.float32], size_m: float, passage: Passage) -> None:
+def close_passage(clearance_m: NDArray[np.float32], size_m: float, passage: Passage) -> None:
     """Takes the cells on the line across a place out of the field."""
     corners = np.rint((passage.ends_m / size_m - 0.5) * 256).astype(int)
     shut = np.zeros(clearance_m.shape, np.uint8)
     # So wide that no way slips through between two cells.
     cv2.line(shut, corners[0].tolist(), corners[1].tolist(), 1, thickness=3, shift=8)
     clearance_m[shut > 0] = 0.0
-
-
-def _leads_through(request: Request, passage: Passage, before: Cells, behind: Cells) -> bool:
-    """Whether steps may lead through a place, from the way before it to that behind; else proven.
-
-    Every pose before the place is taken for one that can be reached.
-    """
-    lattice = request.lattice
-    zone, first = _zones(request, passage, before, behind)
-    if zone is None:
-        return True
-    body_cell = request.context.tables.potential.cell_offsets(lattice.cols)
-    rows = 2 * lattice.headings
-
-    def nodes_in(*zones: int) -> Int64s:
-        """All nodes (n,) whose body's cell is in one of these zones."""
-        up, across = np.nonzero(np.isin(zone, zones)) + np.array([[first[1]], [first[0]]])
-        inside = (up >= 0) & (up < lattice.rows) & (across >= 0) & (across < lattice.cols)
-        cell = up[inside] * lattice.cols + across[inside]
-        nodes = ((cell[:, None] - body_cell) * rows + np.arange(rows)).reshape(-1)
-        return np.asarray(nodes[(nodes >= 0) & (nodes < lattice.nodes)])
-
-    seen = zeros(lattice.nodes, np.uint8)
-    seen[nodes_in(_OUTSIDE)] = FORWARD  # so that the flood leaves them alone
-    seen[nodes_in(_PASSED)] = BACKWARD
-    seeds = nodes_in(_START)
-    seeds = seeds[nodes_free(lattice, seeds)]
-    seen[seeds] = FORWARD
-    stack = np.empty(zone.size * rows, np.int32)
-    stack[: len(seeds)] = seeds
-    ends = np.array([len(seeds), len(seeds)])
-    return flood(lattice, seen, stack, lattice.steps, FORWARD, ends, 0, zone.size * rows)
-
-
-def _zones(
-    request: Request, passage: Passage, before: Cells, behind: Cells
-) -> tuple[NDArray[np.uint8] | None, tuple[int, int]]:
-    """Zones (n, n) of the lattice's cells around a place, and the column and row of the first.
-
-    A step from any zone but _OUTSIDE ends in one of these cells. None where the line across the
-    place does not part them.
-    """
-    lattice = request.lattice
-    terrain, size_m = lattice.terrain, lattice.terrain.resolution_m
-    middle_m = passage.ends_m.mean(axis=0)
-    reach = math.ceil((_AROUND_M + _longest_move_m(request)) / lattice.cell_m) + 1
-    across, up = points_from_grid(lattice.frame, *middle_m) / np.array(lattice.cell_m)
-    first = (
-        round(float(across)) + lattice.origin_col - reach,
-        round(float(up)) + lattice.origin_row - reach,
-    )
-    row_of, col_of = np.indices((2 * reach + 1, 2 * reach + 1))
-    cells = ((row_of + first[1]) * lattice.cols + col_of + first[0]).reshape(-1)
-    points_m = _to_grid(lattice, cells)
-    at = _cells_at(terrain, points_m)
-    # As far as a corner of the map's cell may be nearer to obstacles than its middle.
-    least_m = request.context.tables.potential.reach_m - size_m
-    is_open = terrain.clearance_m[at[:, 0], at[:, 1]] > least_m
-    along = passage.ends_m[1] - passage.ends_m[0]
-    share = np.clip((points_m - passage.ends_m[0]) @ along / (along @ along), 0.0, 1.0)
-    away_m = np.linalg.norm(points_m - passage.ends_m[0] - share[:, None] * along, axis=1)
-    is_open &= (away_m <= _AROUND_M) & (np.linalg.norm(points_m - middle_m, axis=1) <= _AROUND_M)
-    parted = (is_open & (away_m > 0.75 * lattice.cell_m)).reshape(row_of.shape)
-    _, label = cv2.connectedComponents(parted.astype(np.uint8), connectivity=4)
-    far = label.reshape(-1)[_nearest(points_m, label, _middles_m(terrain, behind), away_m)]
-    near = label.reshape(-1)[_nearest(points_m, label, _middles_m(terrain, before), away_m)]
-    if far == near or not (far and near):
-        return None, first
-    zone = np.full(len(cells), _OUTSIDE, np.uint8)
-    zone[is_open] = _NEAR_SIDE
-    is_far = label.reshape(-1) == far
-    zone[is_open & ~is_far & (away_m > _BEFORE_M)] = _START
-    zone[is_far] = _FAR_SIDE
-    zone[is_far & (away_m > _BEHIND_M)] = _PASSED
-    return zone.reshape(row_of.shape), first
-
-
-def _nearest(points_m: Floats, label: NDArray[np.int32], way_m: Floats, away_m: Floats) -> int:
-    """Index of the labelled point that is nearest to where a way is well away from the place."""
-    labelled = np.flatnonzero((label.reshape(-1) > 0) & (away_m > _BEHIND_M))
-    if not len(labelled) or not len(way_m):
-        return 0
-    gaps_m = np.linalg.norm(points_m[labelled, None] - way_m[None, :200], axis=2)
-    return int(labelled[np.argmin(gaps_m.min(axis=1))])
-
-
-def _middles_m(terrain: Terrain, cells: Cells) -> Floats:
-    return np.asarray((cells[:, ::-1] + 0.5) * terrain.resolution_m, dtype=float)
-
-
-def _origin_m(lattice: Lattice) -> Floats:
-    return np.array(lattice.frame[:2])
-
-
-def _to_grid(lattice: Lattice, cells: Int64s) -> Floats:
-    """Points (n, 2) of lattice cells (n,) in the grid frame."""
-    col, row = cells % lattice.cols - lattice.origin_col, cells // lattice.cols - lattice.origin_row
-    points = np.column_stack([col, row, np.zeros(len(cells))]) * lattice.cell_m
-    return poses_to_grid(lattice.frame, points)[:, :2]
-
-
-def _cells_at(terrain: Terrain, points_m: Floats) -> Cells:
-    """Rows and columns (n, 2) of points (n, 2) on the map, those off it moved to its rim."""
-    cells = np.floor(points_m[:, ::-1] / terrain.resolution_m).astype(np.int64)
-    return cells.clip(0, np.array(terrain.blocked.shape) - 1)
