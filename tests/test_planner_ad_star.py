@@ -23,7 +23,7 @@ from planner.search.ad_star_tree import edge_cost_um
 from planner.search.best_first import ROOT
 from planner.search.problem import new_tree
 from planner.verify import violations
-from tests.planner_floor import CASES, walled
+from tests.planner_floor import CASES, first_quick, walled
 from tests.planner_oracle import Oracle, small_model
 
 KEPT = PlannerOptions(name="adstar", refine=False)
@@ -110,6 +110,28 @@ def test_after_any_steps_and_changes_the_plan_is_right_and_the_bound_true(
             assert plan.epsilon == 1.0
         found += plan.found
     assert found > 2
+
+
+@pytest.mark.parametrize("seed", first_quick(range(4)))
+def test_over_ground_that_became_free_it_costs_no_more_than_a_new_plan(seed):
+    rng = np.random.default_rng(seed)
+    model, (free, start, goal) = small_model(), FLOORS["large"]
+    quick, cheaper = replace(KEPT, stop_at_first=True), 0
+    planner = Planner(free, model, quick)
+    for _ in range(4):
+        cells = np.array(free.cells)
+        for row, col in rng.integers((14, 0), (40, 44), (3, 2)):
+            cells[row : row + 3, col : col + 16] = Cell.OCCUPIED
+        planner.take_map(free.with_cells(cells))
+        shut = planner.plan(start=start, goal=goal)
+        planner.take_map(free)
+        plan = planner.plan(start=start, goal=goal)
+        fresh = plan_footsteps(free, model, start=start, goal=goal, options=quick)
+        assert_right(plan, optimum(free, model, start=start, goal=goal), free, model)
+        assert plan.cost_m <= fresh.cost_m + 2e-6
+        assert plan.epsilon <= quick.epsilon
+        cheaper += not shut.found or plan.cost_m < shut.cost_m
+    assert cheaper
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -77,14 +77,17 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     prove_all = is_first or options.improve_expansions is None
     wanted = options.final_epsilon if prove_all else options.epsilon
     kept.move_start(request)
-    if kept.tree.best_um == NO_COST:
+    if kept.tree.best_um == NO_COST or kept.may_be_shorter:
+        # Over freed ground there may be quite another way, of which the tree knows nothing.
+        kept.may_be_shorter = False
         first = find_first_plan(request, options)
         if first is CUT_OFF:
             return no_body_path()
         if first is not None:
-            kept.add_path(request.lattice, first.nodes)
             expansions, bound_um = first.expansions, first.lower_bound_um
-            kept.move_start(request)
+            if first.cost_um < kept.tree.best_um:
+                kept.add_path(request.lattice, first.nodes)
+                kept.move_start(request)
     bound_um = max(bound_um, kept.bound_um(request.lattice))
     if kept.tree.best_um < NO_COST:
         is_enough = is_first and options.stop_at_first
@@ -111,6 +114,7 @@ class ReusableTree:
 
     tree: its goals are the first steps of the current start. heuristic: toward the start of the
     last search; None before the first. open_bound_um: least cost + heuristic of all open states.
+    may_be_shorter: ground has become free since the last plan.
     """
 
     def __init__(self, request: Request) -> None:
@@ -118,6 +122,7 @@ class ReusableTree:
         self.tree.scalars[SLACK_UM] = NO_COST
         self.heuristic: Heuristic | None = None
         self.open_bound_um = 0
+        self.may_be_shorter = False
         self._toward_goal: Heuristic | None = None
 
     def add_path(self, lattice: Lattice, nodes: Int64s) -> None:
@@ -184,6 +189,7 @@ class ReusableTree:
         if len(change.freed):
             # New paths may be shorter than the heuristics allow for.
             self.heuristic, self._toward_goal, self.open_bound_um = None, None, 0
+            self.may_be_shorter = True
         elif self.heuristic is not None and len(again):
             nodes = again.astype(np.int64)
             values_um = estimates(lattice, self.heuristic, nodes)
