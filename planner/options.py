@@ -22,7 +22,8 @@ class PlannerOptions:
 
     epsilon, final_epsilon: the heuristic's weight in the first and in the last search; a plan costs
     at most the reported epsilon times the optimum. improve_expansions: states to expand past the
-    first plan in search of a better one; None goes on until final_epsilon is proven.
+    first plan in search of a better one, as many for each further tenth that its cost is above the
+    bound, and ten times that at most; None goes on until final_epsilon is proven.
     max_expansions: the same for the whole search. Both repeat exactly. time_limit_s: a limit on the
     clock on top of them; results then depend on the machine. stop_at_first: be content with the
     first plan. refine: move the plan's steps off the lattice to lower its cost. unknown_is_free:

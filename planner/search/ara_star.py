@@ -20,13 +20,16 @@ from planner.options import PlannerOptions
 from planner.plan import PlanStatus
 from planner.robot_model import StepModel
 from planner.search.best_first import (
+    BASE_UM,
     BEST_NODE,
     BEST_UM,
+    CURSOR,
     EXHAUSTED,
     FINISHED,
     IMPROVED,
     NO_COST,
     OUT_OF_ENTRIES,
+    SHIFT,
     Tree,
     expand,
     start_iteration,
@@ -55,6 +58,10 @@ _CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock
 # expansions, then FLOOD_TURN nodes of each flood, which double up to FLOOD_TURN_MOST, because the
 # longer there is no plan the likelier there is none.
 FLOOD_AFTER, SEARCH_TURN, FLOOD_TURN, FLOOD_TURN_MOST = 1 << 15, 1 << 13, 1 << 12, 1 << 14
+
+# The effort to improve a plan is `PlannerOptions.improve_expansions` up to the first gap between
+# its cost and the bound, in proportion to the gap beyond, and no more than so many times that.
+_GAP, _MOST_TIMES = 0.1, 10.0
 
 # Lattices of finer cells are first searched on one of coarse cells, with so many expansions.
 _FINE_CELL_M, _COARSE_CELL_M = 0.03, 0.05
@@ -137,6 +144,7 @@ class AraStar:
             return False
         task = self.task
         while True:
+            self._tighten_on_the_way(epsilon)
             outcome = expand(task.lattice, task.heuristic, self.tree, epsilon, self._budget())
             if outcome == OUT_OF_ENTRIES:
                 self.tree = with_longer_queue(self.tree)
@@ -158,8 +166,9 @@ class AraStar:
     def _reorder_open(self, epsilon: float) -> None:
         """Orders the open list by a weight; the least g + h of all open states is a bound."""
         task = self.task
-        self.lower_bound_um = int(start_iteration(task.lattice, task.heuristic, self.tree, epsilon))
-        self.open_bound_um = max(self.open_bound_um, self.lower_bound_um)
+        least_um = int(start_iteration(task.lattice, task.heuristic, self.tree, epsilon))
+        self.open_bound_um = max(self.open_bound_um, least_um)
+        self.lower_bound_um = max(self.lower_bound_um, min(least_um, self._best_um))
         if self._best_um < NO_COST:
             self.proven = min(self.proven, proven_ratio(self._best_um, self.lower_bound_um))
 
@@ -167,6 +176,14 @@ class AraStar:
         """Takes the bound of the open states after an iteration that was cut short."""
         if self.proven > 1.0:
             self._reorder_open(1.0)
+
+    def _tighten_on_the_way(self, epsilon: float) -> None:
+        """Takes the lower edge of the first bucket as a bound: with epsilon 1 it is one."""
+        if epsilon == 1.0 and self._best_um < NO_COST:
+            scalars = self.tree.scalars
+            least_um = int(scalars[BASE_UM] + (scalars[CURSOR] << scalars[SHIFT]))
+            self.lower_bound_um = max(self.lower_bound_um, min(least_um, self._best_um))
+            self.proven = min(self.proven, proven_ratio(self._best_um, self.lower_bound_um))
 
     def _is_enclosed(self) -> bool:
         """Whether floods, if it is their turn, prove that no steps lead to the goal."""
@@ -196,10 +213,13 @@ class AraStar:
         return max(0, min(budget, self._left_to_improve()))
 
     def _left_to_improve(self) -> int:
-        """Expansions left for a better plan than the first."""
-        if self.options.improve_expansions is None or self._best_um == NO_COST:
+        """Expansions left for a better plan than the first, by the gap that is left."""
+        most = self.options.improve_expansions
+        if most is None or self._best_um == NO_COST:
             return self.options.max_expansions
-        return self.first_expansions + self.options.improve_expansions - self._expansions
+        gap = proven_ratio(self._best_um, self.lower_bound_um) - 1.0
+        times = min(max(gap / _GAP, 1.0), _MOST_TIMES)
+        return self.first_expansions + int(times * most) - self._expansions
 
     def _limit_reached(self) -> str:
         """The limit that ended the search, in words; empty if none did."""
