@@ -181,7 +181,7 @@ def test_a_gap_that_the_path_fits_through_and_the_body_does_not_is_left_aside_at
     plan = Planner(grid, MODEL, options).plan(start=(4.0, 2.0, 1.57), goal=(4.0, 6.0, 1.57))
     assert plan.found
     assert not violations(plan, grid, MODEL)
-    assert plan.expansions < 700
+    assert plan.expansions < 750  # 250 of them on the narrower way
     assert plan.pose_world[:, 0].max() > 6.8
 
 
