@@ -1,7 +1,8 @@
-"""Work spread over processes."""
+"""Work spread over processes, and the compiling of what they run."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
@@ -10,7 +11,9 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
-from app.output import InputError
+from app.output import InputError, ProgressBar, say
+from planner.options import PlannerOptions
+from planner.robot_model import StepModel
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -46,6 +49,23 @@ def in_order(
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def compile_planner(model: StepModel, options: PlannerOptions) -> float:
+    """Compiles the planner if no run before has, and shows how far that is; seconds it took."""
+    from planner.compilation import compile_ahead
+
+    with contextlib.ExitStack() as stack:
+        bar: ProgressBar | None = None
+
+        def show(done: int, parts: int, name: str) -> None:
+            nonlocal bar
+            if bar is None:
+                say("compiling the planner; later runs find it compiled")
+                bar = stack.enter_context(ProgressBar("compiling, parts", parts))
+            bar.update(done, name)
+
+        return compile_ahead(model, options, show)
 
 
 def _leave_interrupts() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import mmap
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numba import config, njit
+from numba.core import event
 from numpy.typing import DTypeLike, NDArray
 
 from planner.cache import cache_folder
@@ -49,6 +52,38 @@ def _compiled(function: _Function, **options: bool) -> _Function:
     finally:
         _config.CACHE_DIR = before
     return compiled
+
+
+class _Listener(event.Listener):
+    """Measures compiling, of which one function's lies within that of its caller's."""
+
+    def __init__(self, tell: Callable[[str], None]) -> None:
+        self._tell, self._depth, self._began_s = tell, 0, 0.0
+        self.taken_s = 0.0
+
+    def on_start(self, event: Any) -> None:
+        if self._depth == 0:
+            self._began_s = time.perf_counter()
+        self._depth += 1
+        function = event.data["dispatcher"].py_func
+        if function.__module__.startswith("planner."):
+            self._tell(function.__name__)
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self.taken_s += time.perf_counter() - self._began_s
+
+
+@contextlib.contextmanager
+def on_compiling(tell: Callable[[str], None] = lambda _: None) -> Iterator[_Listener]:
+    """Calls `tell` with the name of each function that is compiled inside.
+
+    What it gives counts the seconds that compiling took, as `taken_s`.
+    """
+    listener = _Listener(tell)
+    with event.install_listener("numba:compile", listener):
+        yield listener
 
 
 _SMALL_BYTES = 1 << 21

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import OccupancyGrid
 from planner.collision import heights_below, resting_heights, terrain_of
+from planner.compiled import on_compiling
 from planner.endpoints import suggestion, what_blocks, what_obstructs
 from planner.heuristics.heuristic import tables_of
 from planner.lattice.goal_region import GoalRegion
@@ -66,6 +67,7 @@ class Planner:
     Make one and use it for every replan to the same goal.
 
     record: how the last search went, if the options ask for it; expanded cells in the world.
+    compile_time_s: how long all plans so far waited for what was not compiled yet.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class Planner:
         )
         self._context: tuple[Pose, GoalContext] | None = None
         self.record: SearchRecord | None = None
+        self.compile_time_s = 0.0
 
     def take_map(self, grid: OccupancyGrid) -> None:
         """Plans over a changed map from now on; keeps what holds on both."""
@@ -117,9 +120,24 @@ class Planner:
         feet already stand at the goal.
         Raises ValueError for numbers that are not finite or for both or neither kind of start.
         """
-        began = time.perf_counter()
         if (start is None) == (start_feet_world is None):
             raise ValueError("give either start or start_feet_world")
+        began = time.perf_counter()
+        with on_compiling() as compiling:
+            plan = self._plan(goal, start, start_feet_world, first_side, began)
+        self.compile_time_s += compiling.taken_s
+        # What had to be compiled belongs to the first plan of a new installation only.
+        return replace(plan, time_s=time.perf_counter() - began - compiling.taken_s)
+
+    def _plan(
+        self,
+        goal: ArrayLike,
+        start: ArrayLike | None,
+        start_feet_world: ArrayLike | None,
+        first_side: Side | None,
+        began: float,
+    ) -> FootstepPlan:
+        """As `plan`, but for its `time_s`."""
         goal_pose = finite_pose(_finite("goal", goal, (3,)))
         if start_feet_world is None:
             start_pose = finite_pose(_finite("start", start, (3,)))
@@ -141,7 +159,7 @@ class Planner:
             plan = replace(plan, epsilon=1.0)
         else:
             plan = self._search(plan, start is None, first_side, began)
-        return replace(plan, time_s=time.perf_counter() - began)
+        return plan
 
     def _refusal(self, plan: FootstepPlan, stands: bool) -> tuple[PlanStatus | None, str]:
         """Status and reason if start or goal are off the map or blocked; None if they are free.

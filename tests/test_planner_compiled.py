@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import mmap
 import sys
+import time
 from pathlib import Path
 
 import numba
@@ -16,6 +17,7 @@ from planner.compiled import (
     in_tiles,
     njit_arrays,
     njit_no_refcount,
+    on_compiling,
     slot_of,
     slots_for,
     slots_of,
@@ -139,3 +141,21 @@ def test_a_lean_function_that_makes_an_array_is_refused():
 
 def test_a_lean_function_may_call_one_that_makes_arrays():
     assert _calls_one_that_does(3) == 4
+
+
+def test_compiling_is_timed_once_for_a_function_and_what_it_calls():
+    @njit_no_refcount
+    def called(number: int) -> int:
+        return number + 1
+
+    @njit_no_refcount
+    def calling(number: int) -> int:
+        return 2 * called(number)
+
+    began = time.perf_counter()
+    with on_compiling() as compiling:
+        assert calling(3) == 8
+    assert 0 < compiling.taken_s <= time.perf_counter() - began
+    with on_compiling() as compiling:
+        assert calling(4) == 10
+    assert compiling.taken_s == 0

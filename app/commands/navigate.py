@@ -37,6 +37,7 @@ from app.output import (
     write_picture,
     write_text,
 )
+from app.workers import compile_planner
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, Policy
 from maps.grid import OccupancyGrid
@@ -121,6 +122,7 @@ def run(options: NavigateOptions) -> int:
     require_writable(options.video, option="--video", endings=(".mp4",))
     require_writable(options.strip, option="--strip", endings=PICTURE_ENDINGS)
     require_writable(options.gait_strip, option="--gait-strip", endings=PICTURE_ENDINGS)
+    compiled_s = 0.0 if options.view else compile_planner(robot.step_model, options.search)
     with ExitStack() as stack:
         if options.view:
             navigator = stack.enter_context(viewed(options, grid, robot, policy))
@@ -138,6 +140,7 @@ def run(options: NavigateOptions) -> int:
         report = navigator.report(
             map=plan.map,
             policy=PolicyFile.of(options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"),
+            compile_time_s=compiled_s + navigator.compile_time_s,
             wall_time_s=time.perf_counter() - started,
         )
         _write(options, navigator, plan, report)

@@ -28,6 +28,7 @@ from app.output import (
     write_picture,
     write_text,
 )
+from app.workers import compile_planner
 from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import FootstepPlan
 
@@ -92,6 +93,7 @@ def run(options: PlanOptions) -> int:
     def planned(planner: Planner) -> FootstepPlan:
         return plan_through(planner, start=options.start, poses=[*options.via, options.goal])
 
+    compile_planner(model, search)
     planner = Planner(grid, model, search)
     plan = dataclasses.replace(planned(planner), robot=robot.name, map=str(options.map))
     text = plan.to_json() + "\n"

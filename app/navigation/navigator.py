@@ -176,10 +176,23 @@ class Navigator:
         """The least distance of the robot from a wall over the whole walk; None without walls."""
         return min_clearance_m(self.scene, np.array(self.qpos[::4]))
 
+    @property
+    def compile_time_s(self) -> float:
+        """Seconds for which plans waited for the compiler; `planning_time_s` is without them."""
+        return self._planner.compile_time_s if isinstance(self._planner, Planner) else 0.0
+
     def report(
-        self, *, map: str = "", policy: PolicyFile | None = None, wall_time_s: float = 0.0
+        self,
+        *,
+        map: str = "",
+        policy: PolicyFile | None = None,
+        compile_time_s: float | None = None,
+        wall_time_s: float = 0.0,
     ) -> NavigationReport:
-        """What the walk, which must have ended, came to."""
+        """What the walk, which must have ended, came to.
+
+        compile_time_s: how long the walk waited for the compiler, if not only for plans.
+        """
         assert self.outcome is not None
         walked = self.outcome is not Outcome.NO_PATH
         distance_m, angle_rad = self.goal_error if walked else (None, None)
@@ -195,6 +208,7 @@ class Navigator:
             foot_error_m=Percentiles.of([placed.error_m for placed in self.placed]),
             min_clearance_m=self.min_clearance_m if walked else None,
             planning_time_s=self.planning_time_s,
+            compile_time_s=self.compile_time_s if compile_time_s is None else compile_time_s,
             sim_time_s=self.time_s,
             wall_time_s=wall_time_s,
             robot=self.robot.name,

@@ -24,8 +24,8 @@ from planner.plan import NarrowPlace
 FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
 # Left out where a walk is too short to have a gait, or no place too narrow; older reports do not
-# have the last.
-_OPTIONAL = ("gait", "narrow_place", "recovery_steps")
+# have the others.
+_OPTIONAL = ("compile_time_s", "gait", "narrow_place", "recovery_steps")
 PoseTuple = tuple[float, float, float]
 
 
@@ -84,7 +84,8 @@ class NavigationReport:
     What was not measured, because the robot never walked, is None. Poses are x_m, y_m, yaw_rad
     in the map frame; `goal_error_rad` is the size of the error in heading. `foot_error_m` are
     distances between the places where feet came to rest and those of their steps.
-    `recovery_steps` were moved or hastened against a push.
+    `recovery_steps` were moved or hastened against a push. `compile_time_s` is how long plans
+    waited for the compiler, which is not part of `planning_time_s`.
     """
 
     outcome: Outcome
@@ -98,6 +99,7 @@ class NavigationReport:
     foot_error_m: Percentiles | None = None
     min_clearance_m: float | None = None
     planning_time_s: float = 0.0
+    compile_time_s: float | None = None
     sim_time_s: float = 0.0
     wall_time_s: float = 0.0
     robot: str
