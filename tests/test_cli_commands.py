@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,9 @@ from app.cli import main
 from app.navigation.report import NavigationReport, Outcome
 from app.options import Reach, parse_reach
 from app.output import ExitCode
+from controller.policy import load_policy, save_policy
 from planner.plan import FootstepPlan, pair_pose
+from sim.robots import get_robot
 from tests.programs import ROOM, picture_at, refusal
 
 GOAL = ("--goal", "2,1,1.57")
@@ -125,7 +128,6 @@ def test_a_walk_of_four_steps_and_more_tells_of_its_gait(tmp_path, capsys):
         (("--goal", "1,1,0", "--policy", "none.safetensors"), 2, "no policy file"),
         (("--goal", "1,1"), 2, "not a pose"),
         (("--goal", "1,1,0", "--pace", "hasty"), 2, "not one of slow, normal, fast"),
-        (("--goal", "1,1,0", "--robot", "hrp5p", "--pace", "fast"), 2, "knows one pace, 1.1 s"),
         (("--goal", "1,1,0", "--strip", "walk.txt"), 2, "must end in"),
     ],
 )
@@ -142,6 +144,24 @@ def test_what_cannot_be_walked_says_why(tmp_path, capsys, words, code, complaint
         assert report["goal_error_m"] is None
     else:
         assert len(output.err.strip().splitlines()) == 1
+
+
+def test_a_policy_that_does_not_see_durations_walks_at_its_own_pace_alone(tmp_path, capsys):
+    """Policies from before there were paces observe all but the last field."""
+    policy = load_policy(get_robot("jvrc1"))
+    (weight, bias), *rest = policy.layers
+    before = replace(
+        policy,
+        layers=((weight[:, :-2], bias), *rest),
+        offset=policy.offset[:-2],
+        scale=policy.scale[:-2],
+        about={**policy.about, "observation": policy.about["observation"][:-1]},
+    )
+    path = tmp_path / "before.safetensors"
+    save_policy(before, path)
+    words = ("--goal", "1,1,0", "--policy", str(path))
+    assert navigate(tmp_path, *words, "--pace", "fast") == 2
+    assert "knows one pace, 1.1 s" in capsys.readouterr().err
 
 
 def test_a_reach_is_two_numbers():
