@@ -97,8 +97,10 @@ def components(clearance_m: NDArray[np.float32], radius_m: float) -> NDArray[np.
 def is_way(
     clearance_m: NDArray[np.float32], radius_m: float, start: tuple[int, ...], goal: tuple[int, ...]
 ) -> bool:
-    """Whether a way between two cells keeps more than a clearance."""
-    label = components(clearance_m, radius_m)
+    """Whether a way off the outermost cells keeps more than a clearance between two cells."""
+    inner = np.full_like(clearance_m, -np.inf)
+    inner[1:-1, 1:-1] = clearance_m[1:-1, 1:-1]
+    label = components(inner, radius_m)
     return bool(label[start] == label[goal] > 0)
 
 
