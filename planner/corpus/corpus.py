@@ -6,14 +6,11 @@ needs numpy only, so that training can draw plans without loading the planner.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import io
 import json
-import os
-import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from planner.cache import written_whole
 from planner.plan import FootstepPlan, PlanStatus, feet_at, relative_steps
 from planner.robot_model import StepModel
 
@@ -176,8 +174,12 @@ class Corpus:
         }
         text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
         # Between the two renamings the digest keeps a reader from mixing old and new.
-        with _replacing(folder / PLANS, plans), _replacing(folder / MANIFEST, text.encode()):
-            pass
+        with (
+            written_whole(folder / PLANS) as new_plans,
+            written_whole(folder / MANIFEST) as new_manifest,
+        ):
+            new_plans.write_bytes(plans)
+            new_manifest.write_bytes(text.encode())
 
     def _to_npz(self) -> bytes:
         """The arrays as bytes of an npz file, without compression and with one date for all."""
@@ -247,17 +249,3 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     if found != FORMAT:
         raise CorpusError(f"{folder}: the format in {MANIFEST} is {found!r}, must be {FORMAT!r}")
     return dict(manifest)
-
-
-@contextlib.contextmanager
-def _replacing(path: Path, content: bytes) -> Iterator[None]:
-    """Writes the content beside the path; on leaving, it takes the path's name."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        yield
-        Path(name).chmod(0o644)
-        os.replace(name, path)
-    finally:
-        Path(name).unlink(missing_ok=True)
