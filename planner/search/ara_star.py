@@ -168,9 +168,7 @@ class AraStar:
         task = self.task
         least_um = int(start_iteration(task.lattice, task.heuristic, self.tree, epsilon))
         self.open_bound_um = max(self.open_bound_um, least_um)
-        self.lower_bound_um = max(self.lower_bound_um, min(least_um, self._best_um))
-        if self._best_um < NO_COST:
-            self.proven = min(self.proven, proven_ratio(self._best_um, self.lower_bound_um))
+        self._raise_bound(least_um)
 
     def _tighten_bound(self) -> None:
         """Takes the bound of the open states after an iteration that was cut short."""
@@ -182,7 +180,12 @@ class AraStar:
         if epsilon == 1.0 and self._best_um < NO_COST:
             scalars = self.tree.scalars
             least_um = int(scalars[BASE_UM] + (scalars[CURSOR] << scalars[SHIFT]))
-            self.lower_bound_um = max(self.lower_bound_um, min(least_um, self._best_um))
+            self._raise_bound(least_um)
+
+    def _raise_bound(self, least_um: int) -> None:
+        """Takes the least cost of all plans that may still be found as a bound."""
+        self.lower_bound_um = max(self.lower_bound_um, min(least_um, self._best_um))
+        if self._best_um < NO_COST:
             self.proven = min(self.proven, proven_ratio(self._best_um, self.lower_bound_um))
 
     def _is_enclosed(self) -> bool:
