@@ -210,6 +210,11 @@ class StepCursor:
         return self._pose[self._rows[:, None], entries]
 
     @property
+    def swing_over_z_m(self) -> np.ndarray:
+        """Top (B,) of what the step in the window's first place swings over, -inf for nothing."""
+        return self._over_z_m[self._rows, self.entry]
+
+    @property
     def shown_window(self) -> np.ndarray:
         """The window (B, 2, 4) as the policy sees it.
 
@@ -218,8 +223,8 @@ class StepCursor:
         """
         window = self.window
         rising = self.swinging & (self.tick < RISING_SHARE * self.ticks.swing)
-        over_z_m = self._over_z_m[self._rows, self.entry]
-        window[:, 0, 2] = np.where(rising, np.maximum(window[:, 0, 2], over_z_m), window[:, 0, 2])
+        raised_m = np.maximum(window[:, 0, 2], self.swing_over_z_m)
+        window[:, 0, 2] = np.where(rising, raised_m, window[:, 0, 2])
         return window
 
     @property

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid, distance_field
 from planner.compiled import njit_no_refcount
-from planner.robot_model import RoundedBox, StepModel, rounded_box
+from planner.robot_model import RoundedBox, StepModel, level_box, rounded_box
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
 CONTACT_M = 1e-9
@@ -165,8 +165,7 @@ def heights_below(
     """
     if terrain.is_flat:
         return np.zeros((len(feet_world), 2))
-    margin_m = model.level_margin_m if margin_m is None else margin_m
-    box = rounded_box(model.foot, margin_m)
+    box = level_box(model) if margin_m is None else rounded_box(model.foot, margin_m)
     heights = np.empty((len(feet_world), 2))
     for i, (x_m, y_m, z_m, yaw_rad) in enumerate(feet_world):
         x, y = (float(v) for v in grid.world_to_grid((x_m, y_m)))

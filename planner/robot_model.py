@@ -186,8 +186,8 @@ class StepModel:
     foot_margin_m, body_margin_m: least distance of each box from what is blocked: the collision
         check widens the box by a disc of this radius.
     foot_gap_m: least distance between the boxes of two consecutive feet.
-    level_margin_m, level_m: on maps with elevation the ground under a foot and this far around it
-        must be level: its highest point is at most level_m above its lowest.
+    level_margin_m, level_m: on maps with elevation the ground under a foot's box that grows by this
+        much on all sides must be level: its highest point is at most level_m above its lowest.
     swing_clear_m: the ground that a foot swings over may be so much higher than the higher of the
         two places that a step joins.
     cell_m, headings: the search lattice.
@@ -248,6 +248,16 @@ class StepModel:
                 f"stance_width_m {self.stance_width_m} must be at least the foot's width "
                 f"{self.foot.width_m} + foot_gap_m {self.foot_gap_m}, or the feet overlap"
             )
+
+
+def level_box(model: StepModel) -> RoundedBox:
+    """The ground that must be level under a foot.
+
+    A larger box and not a widened one: its corners keep heels, which land up to the foot margin
+    off, from coming down on a sill that a foot has crossed aslant.
+    """
+    margin_m = model.level_margin_m
+    return model.foot.length_m / 2 + margin_m, model.foot.width_m / 2 + margin_m, 0.0
 
 
 def _check_positive(name: str, value: float) -> None:

@@ -151,10 +151,10 @@ class _Floor:
             if pose[2] != 0.0:
                 yield f"z {pose[2]} is not 0 on a flat floor"
             return
-        foot, margin_m = self._in_grid(pose), model.level_margin_m
-        sole = _box(foot, model.foot, _TOLERANCE_M)
-        heights = self._heights_below(sole, margin_m)
-        near = self._heights_below(sole, margin_m + 3 * _TOLERANCE_M)
+        foot = self._in_grid(pose)
+        tread = _box(foot, model.foot, _TOLERANCE_M - model.level_margin_m)
+        heights = self._heights_below(tread, 0.0)
+        near = self._heights_below(tread, 3 * _TOLERANCE_M)
         if len(heights) == 0 or np.ptp(heights) > model.level_m + _TOLERANCE_M:
             yield f"the ground at {pose[0]:.3f}, {pose[1]:.3f} is not level: {heights}"
         elif not heights.max() - _TOLERANCE_M <= pose[2] <= near.max() + _TOLERANCE_M:

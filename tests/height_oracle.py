@@ -23,17 +23,17 @@ class HeightOracle:
             shapely.prepare(area)
             self._levels.append((height, area))
 
-    def _met(self, polygon, within_m=0.0):
-        return [height for height, area in self._levels if area.dwithin(polygon, within_m)]
+    def _met(self, polygon):
+        return [height for height, area in self._levels if area.intersects(polygon)]
 
     def under(self, x, y, yaw):
         """Height under a foot; None where the ground is not level or there is none."""
-        foot, less = self.model.foot, 1e-7
-        ahead = np.array([math.cos(yaw), math.sin(yaw)]) * (foot.length_m / 2 - less)
-        aside = np.array([-math.sin(yaw), math.cos(yaw)]) * (foot.width_m / 2 - less)
+        foot, margin = self.model.foot, self.model.level_margin_m - 1e-7
+        ahead = np.array([math.cos(yaw), math.sin(yaw)]) * (foot.length_m / 2 + margin)
+        aside = np.array([-math.sin(yaw), math.cos(yaw)]) * (foot.width_m / 2 + margin)
         centre = np.array([x, y])
         ends = centre + ahead + aside, centre + ahead - aside, centre - ahead - aside
-        met = self._met(shapely.Polygon([*ends, centre - ahead + aside]), self.model.level_margin_m)
+        met = self._met(shapely.Polygon([*ends, centre - ahead + aside]))
         if not met or max(met) - min(met) > self.model.level_m + 1e-9:
             return None
         return max(met)

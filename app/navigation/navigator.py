@@ -273,7 +273,8 @@ class Navigator:
     def _recover(self) -> None:
         """Change the present step where a push needs it, but never move it onto an obstacle.
 
-        On stairs the treads say where a foot can stand, and the policy is left alone.
+        On stairs and over sills the ground says where a foot can stand and how long it must swing,
+        and the policy is left alone.
         """
         change = step_change(self.walker)
         if not change.needed[0]:
@@ -281,7 +282,8 @@ class Navigator:
         cursor = self.walker.cursor
         side, feet = cursor.side[0], cursor.foot_targets[0]
         heights_m = [*feet[:, 2], cursor.lift_off_poses[0, 2]]
-        if max(heights_m) - min(heights_m) > self.robot.step_model.level_m:
+        highest_m = max(*heights_m, cursor.swing_over_z_m[0])
+        if highest_m - min(heights_m) > self.robot.step_model.level_m:
             return
         offset_m = change.offset_world_m[0].copy()
         for share in _MOVE_SHARES:

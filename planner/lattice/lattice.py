@@ -36,7 +36,7 @@ from planner.compiled import (
 )
 from planner.lattice.frame import Frame
 from planner.lattice.steps import MICRO, StepTable, numbered_steps
-from planner.robot_model import RoundedBox, StepModel, rounded_box
+from planner.robot_model import RoundedBox, StepModel, level_box, rounded_box
 
 UNKNOWN, FREE, BLOCKED = 0, 1, 2
 _PAIR_SLOTS = 1 << 15
@@ -59,7 +59,7 @@ class Lattice(NamedTuple):
     cos, sin (2 H,): of half heading bins in the grid frame. frame: x, y, cos, sin of the goal's
     pair pose in the grid frame. origin: col, row of the goal's cell. foot, body: widened by their
     margins. clearance: see `_clearance`.
-    tread: foot widened by the margin on which the ground must be level. sole: half length and half
+    tread: box of a foot on which the ground must be level. sole: half length and half
     width of a foot. swing_reach_m: how far from a foot a step may pass over ground. climb_um: see
     `_climb`.
     slots: where arrays over the nodes have what is known of each. node_state (slots,): UNKNOWN,
@@ -162,7 +162,7 @@ def build_lattice(
         slots=slots,
         node_state=zeros(slots.length, np.uint8),
         pair_key=zeros(_PAIR_SLOTS, np.int64),
-        tread=rounded_box(model.foot, model.level_margin_m),
+        tread=level_box(model),
         sole=(model.foot.length_m / 2, model.foot.width_m / 2),
         swing_reach_m=_swing_reach(model),
         climb_um=_climb(model),
