@@ -14,6 +14,7 @@ import numpy as np
 from controller.curriculum import Stage
 from controller.observation import critic_fields, normaliser, policy_fields, to_heading_frame
 from controller.randomization import Disturbances, DomainRandomization
+from controller.recovery import change_steps, step_change
 from controller.rewards import PRECISE, StepTargets, reward, reward_inputs
 from controller.stairs import STAIR_MODES, draw_stairs
 from controller.step_cursor import STANCE, StepSequence
@@ -216,7 +217,9 @@ class WalkTask:
         self._rng = np.random.default_rng(seed)
         self._torque_nm = np.zeros((count, len(robot.joints)))
         self.weights = dict(self.config.reward)
-        self._disturbances = Disturbances(self.config.randomization, count, len(robot.joints))
+        self._disturbances = Disturbances(
+            self.config.randomization, count, len(robot.joints), robot.mass_kg
+        )
         self._randomized = False
         self._episodes = EpisodeSampler(
             self.walker, self._disturbances, config=self.config, mode=mode, planned=planned
@@ -279,10 +282,8 @@ class WalkTask:
         truncated = ~terminated & (self.ticks >= self.config.episode_ticks)
         height_error_m = (self.walker.soles_world() - targets.foot_targets)[foot][:, 2]
         on_stairs = self._episodes.on_stairs.copy()
-        if self.stage.disturbance_level > 0 and self.config.randomization.moved_share > 0:
-            self._disturbances.move_steps(
-                self._rng, self.walker, self.stage.disturbance_level, np.flatnonzero(~on_stairs)
-            )
+        if self.stage.disturbance_level > 0:
+            self._change_steps(~on_stairs & ~terminated)
         self.reset(np.flatnonzero(terminated | truncated))
         observation = self.observe()
         return Transition(
@@ -299,6 +300,16 @@ class WalkTask:
             stairs=on_stairs,
             terms=terms,
         )
+
+    def _change_steps(self, where: np.ndarray) -> None:
+        """Move steps of the robots `where` (B,): some at random, some to recover from a push."""
+        if self.config.randomization.moved_share > 0:
+            level, rows = self.stage.disturbance_level, np.flatnonzero(where)
+            self._disturbances.move_steps(self._rng, self.walker, level, rows)
+        pushed = where & self._disturbances.pushed(self.ticks)
+        if pushed.any():
+            change = step_change(self.walker)
+            change_steps(self.walker, replace(change, needed=change.needed & pushed))
 
     def critic_observe(self) -> np.ndarray:
         """The critic's scaled observation (B, M), of the states that `observe` saw last.

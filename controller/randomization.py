@@ -28,10 +28,12 @@ class DomainRandomization:
     A share `undisturbed_share` of the episodes has no noise, latency, push or moved step. Of the
     steps of the others a share `moved_share` moves on level ground, somewhere in the first half of
     its swing, by up to `moved_m` each along x and outward within the step limits, as the recovery
-    from a push may move one. Noise is uniform, drawn at every control step, between minus and plus
-    the episode's amplitude; the amplitude for joint speeds is `joint_speed_noise_per_s` (rad/s per
-    rad) times that of joint positions. Friction, masses, centre of mass and gains are drawn once
-    per segment of training. Tread errors apply in stair episodes except a share
+    from a push may move one. A push gives the robot's mass a speed of `push_m_s`; for `recovery_s`
+    after it the steps on level ground change by the law of `controller/recovery.py`, as they do in
+    `navigate`. Noise is uniform, drawn at every control step, between minus and plus the episode's
+    amplitude; the amplitude for joint speeds is `joint_speed_noise_per_s` (rad/s per rad) times
+    that of joint positions. Friction, masses, centre of mass and gains are drawn once per segment
+    of training. Tread errors apply in stair episodes except a share
     `exact_tread_share`.
 
     Raises:
@@ -45,8 +47,9 @@ class DomainRandomization:
     angular_speed_noise_rad_s: Interval = (0.0, 0.1)
     latency_share: float = 0.2
     latency_ticks: Interval = (0.0, 1.0)
-    push_share: float = 0.25
-    push_n_s: Interval = (0.0, 18.0)
+    push_share: float = 0.35
+    push_m_s: Interval = (0.0, 0.35)
+    recovery_s: float = 2.0
     moved_share: float = 0.2
     moved_m: float = 0.1
     exact_tread_share: float = 0.3
@@ -109,7 +112,7 @@ def _check_range(name: str, interval: Interval) -> None:
 class Disturbances:
     """The disturbances drawn for each of B robots; all zero at first."""
 
-    def __init__(self, config: DomainRandomization, count: int, joints: int):
+    def __init__(self, config: DomainRandomization, count: int, joints: int, mass_kg: float):
         self.config = config
         self.joint_noise_rad = np.zeros(count)
         self.tilt_noise_rad = np.zeros(count)
@@ -119,7 +122,7 @@ class Disturbances:
         self._push_n = np.zeros((count, 3))
         self._push_tick = np.full(count, -PUSH_TICKS)
         self._pushing = False
-        self._joints = joints
+        self._joints, self._mass_kg = joints, mass_kg
 
     def draw_episode(self, rng: np.random.Generator, row: int, level: float, *, ticks: int) -> None:
         """Draw the disturbances of robot `row` for an episode of `ticks` control steps."""
@@ -133,8 +136,8 @@ class Disturbances:
         late = loud and rng.uniform() < config.latency_share
         self.latency_ticks[row] = level * rng.uniform(*config.latency_ticks) * late
         pushed = loud and rng.uniform() < config.push_share
-        angle, push_n_s = rng.uniform(-np.pi, np.pi), rng.uniform(*config.push_n_s)
-        size_n = pushed * level * push_n_s / (PUSH_TICKS * CONTROL_PERIOD_S)
+        angle, push_m_s = rng.uniform(-np.pi, np.pi), rng.uniform(*config.push_m_s)
+        size_n = pushed * level * push_m_s * self._mass_kg / (PUSH_TICKS * CONTROL_PERIOD_S)
         self._push_n[row] = size_n * math.cos(angle), size_n * math.sin(angle), 0.0
         self._push_tick[row] = rng.integers(ticks)
 
@@ -172,6 +175,12 @@ class Disturbances:
         if now.any() or self._pushing:
             sim.push(self._push_n * now[:, None])
         self._pushing = bool(now.any())
+
+    def pushed(self, ticks: np.ndarray) -> np.ndarray:
+        """Robots (B,) that recover from a push, `ticks` (B,) control steps into the episodes."""
+        since = ticks - self._push_tick
+        recovering = (since >= 0) & (since < round(self.config.recovery_s / CONTROL_PERIOD_S))
+        return np.asarray(recovering & self._push_n.any(axis=1))
 
     def move_steps(
         self, rng: np.random.Generator, walker: Walker, level: float, rows: np.ndarray

@@ -25,7 +25,7 @@ LOUD = replace(DomainRandomization(), undisturbed_share=0.0, latency_share=1.0, 
 
 
 def drawn(config, level, seed=0):
-    disturbances, rng = Disturbances(config, COUNT, 12), np.random.default_rng(seed)
+    disturbances, rng = Disturbances(config, COUNT, 12, 62.0), np.random.default_rng(seed)
     for row in range(COUNT):
         disturbances.draw_episode(rng, row, level, ticks=100)
     return disturbances
@@ -57,7 +57,7 @@ def test_amplitudes_fill_their_ranges_and_scale_with_the_level(level):
         (np.degrees(disturbances.tilt_noise_rad), 1.0),
         (disturbances.angular_speed_noise_rad_s, 0.1),
         (disturbances.latency_ticks, 1.0),
-        (impulses(disturbances), 18.0),
+        (impulses(disturbances), 0.35 * 62.0),
     ):
         assert amplitude.min() >= 0
         assert 0.95 * highest * level < amplitude.max() <= highest * level * (1 + 1e-9)
@@ -106,7 +106,7 @@ def test_a_moved_step_keeps_the_limits_and_carries_the_later_ones_along():
     for row in range(count):
         walker.follow(row, draw_sequence(rng, model, feet, mode="arbitrary", steps=4))
     config = DomainRandomization(undisturbed_share=0.0, moved_share=1.0, moved_m=0.1)
-    disturbances = Disturbances(config, count, len(robot.joints))
+    disturbances = Disturbances(config, count, len(robot.joints), robot.mass_kg)
     for row in range(count):
         disturbances.draw_episode(rng, row, 1.0, ticks=100)
     allowed, cursor, moves = np.arange(count // 2), walker.cursor, 0
@@ -157,7 +157,7 @@ def test_all_switched_off_is_bit_identical_to_no_disturbance():
     for change in (
         {"joint_noise_deg": (1.0, 1.0)},
         {"latency_share": 1.0, "latency_ticks": (0.5, 0.5)},
-        {"push_share": 1.0, "push_n_s": (10.0, 10.0)},
+        {"push_share": 1.0, "push_m_s": (0.16, 0.16)},
         {"mass_factor": (1.05, 1.05)},
         {"gain_factor": (1.05, 1.05)},
         {"friction_factor": (0.2, 0.2)},
@@ -206,7 +206,7 @@ def test_models_vary_by_their_factors():
     "values",
     [
         {"joint_noise_deg": (3.0, 1.0)},
-        {"push_n_s": (-1.0, 1.0)},
+        {"push_m_s": (-0.1, 0.1)},
         {"tread_error_m": (0.0, float("inf"))},
         {"latency_ticks": (0.0, 2.0)},
         {"mass_factor": (0.0, 1.0)},
