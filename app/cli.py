@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
+import signal
 import sys
+import threading
 import typing
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -91,11 +93,11 @@ def load_run(name: str) -> tuple[Callable[[Any], int], type[Any]]:
 def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
     """Runs the command line and returns the exit code; `program` is how it was called.
 
-    Wrong input and Ctrl-C end in one line on standard error. Anything else that is raised is a
-    fault of the program and keeps its traceback.
+    Wrong input, Ctrl-C and SIGTERM end in one line on standard error. Anything else that is raised
+    is a fault of the program and keeps its traceback.
     """
     try:
-        with _warnings_in_one_line():
+        with _warnings_in_one_line(), _terminable():
             code = _dispatch(list(arguments), program)
             sys.stdout.flush()
             return code
@@ -103,6 +105,9 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
         # One line, but for a map without its YAML: that message shows the lines to write.
         print(f"error: {error}", file=sys.stderr)
         return ExitCode.BAD_INPUT
+    except _Terminated:
+        print("terminated", file=sys.stderr)
+        return ExitCode.TERMINATED
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return ExitCode.INTERRUPTED
@@ -149,6 +154,27 @@ def _dispatch(arguments: list[str], program: str) -> int:
 
         switch_gl_off()
     return run(options)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM: what Ctrl-C leaves in order is left in order then too."""
+
+
+@contextlib.contextmanager
+def _terminable() -> Iterator[None]:
+    """Lets SIGTERM raise `_Terminated`, in the one thread that can be told of signals."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(number: int, frame: object) -> None:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextlib.contextmanager

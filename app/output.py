@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from enum import IntEnum
@@ -17,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+from maps.files import written_whole
 
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 LINE_EVERY_S = 5.0
@@ -30,6 +31,7 @@ class ExitCode(IntEnum):
     NO_PLAN = 3
     WALK_FAILED = 4
     INTERRUPTED = 130
+    TERMINATED = 143
 
 
 class InputError(Exception):
@@ -103,27 +105,11 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         InputError: The file cannot be written.
     """
-    temporary = None
-    # Through a link it is the file behind it that is replaced, not the link.
-    path = path.resolve()
     try:
-        # The ending stays: image and film writers take the format from it.
-        handle, name = tempfile.mkstemp(
-            prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent
-        )
-        temporary = Path(name)
-        os.close(handle)
-        yield temporary
-        # The mask that new files get; the only way to read it is to set it.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        os.replace(temporary, path)
+        with written_whole(path) as temporary:
+            yield temporary
     except OSError as error:
         raise InputError(f"cannot write {path}: {error.strerror or error}") from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from app.output import InputError, ProgressBar, say
 from planner.options import PlannerOptions
+from planner.processes import worker_pool
 from planner.robot_model import StepModel
 
 Job = TypeVar("Job")
@@ -34,21 +32,13 @@ def in_order(
     if workers <= 1:
         yield from map(function, jobs)
         return
-    context = multiprocessing.get_context("spawn")
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_leave_interrupts)
     try:
-        yield from pool.map(function, jobs)
+        with worker_pool(workers) as pool:
+            yield from pool.map(function, jobs)
     except BrokenProcessPool:
         raise InputError(
             "a process died, perhaps for want of memory: try fewer --workers"
         ) from None
-    except BaseException:
-        for process in set(multiprocessing.active_children()) - others:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def compile_planner(model: StepModel, options: PlannerOptions) -> float:
@@ -66,11 +56,6 @@ def compile_planner(model: StepModel, options: PlannerOptions) -> float:
             bar.update(done, name)
 
         return compile_ahead(model, options, show)
-
-
-def _leave_interrupts() -> None:
-    """Leaves Ctrl-C to the process that started this one: it ends this one, without a traceback."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def portions(count: int, workers: int, most: int) -> list[range]:

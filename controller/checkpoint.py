@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -16,6 +15,7 @@ import torch
 from controller.curriculum import Stage
 from controller.observation import critic_fields, layout, policy_fields
 from controller.ppo import TrainConfig
+from maps.files import written_whole
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
@@ -76,12 +76,8 @@ def write_checkpoint(folder: Path, config: TrainConfig, robot: Robot, state: Che
     content = io.BytesIO()
     torch.save(document, content)
     folder.mkdir(parents=True, exist_ok=True)
-    temporary = folder / f"{CHECKPOINT}.tmp"
-    try:
+    with written_whole(folder / CHECKPOINT) as temporary:
         temporary.write_bytes(content.getbuffer())
-        os.replace(temporary, folder / CHECKPOINT)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoint:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.observation import layout, normaliser, policy_fields
+from maps.files import written_whole
 from sim.robot import Robot
 
 FORMAT = "footstep-policy/1"
@@ -116,8 +116,13 @@ def save_policy(policy: Policy, path: Path) -> None:
         "sha256": hashlib.sha256(content).hexdigest(),
         "normaliser": {"offset": policy.offset.tolist(), "scale": policy.scale.tolist()},
     }
-    _replace(path.with_suffix(".safetensors"), content)
-    _replace(path.with_suffix(".json"), (json.dumps(about, indent=1) + "\n").encode())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with (
+        written_whole(path.with_suffix(".safetensors")) as weights,
+        written_whole(path.with_suffix(".json")) as facts,
+    ):
+        weights.write_bytes(content)
+        facts.write_bytes((json.dumps(about, indent=1) + "\n").encode())
 
 
 def load_policy(robot: Robot, path: Path | None = None) -> Policy:
@@ -173,10 +178,3 @@ def _check(robot: Robot, path: Path, about: dict[str, Any], layers: Any, digest:
         raise PolicyError(f"policy {path} does not fit: it maps {shape[0]} to {shape[1]} numbers")
     if not all(np.isfinite(array).all() for layer in layers for array in layer):
         raise PolicyError(f"policy {path} has weights that are not finite: it is damaged")
-
-
-def _replace(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".tmp")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)

@@ -16,7 +16,6 @@ import stat
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -58,22 +57,6 @@ def cache_folder() -> Path | None:
         return folder
     _warn(f"what is compiled now is compiled again at every start: {_not_writable(refused)}")
     return None
-
-
-@contextlib.contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """Gives a temporary path beside this one, whose file takes this one's place at the end.
-
-    Nobody reads half a file. Raises OSError where it cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}-{os.getpid()}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise
 
 
 def _places() -> list[Path]:

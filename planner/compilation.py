@@ -7,12 +7,10 @@ planning calls, on an empty floor, so their arguments have the types that they h
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
-import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +26,7 @@ from planner.lattice.steps import final_cost_um
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import PlanStatus, feet_at, to_frame
 from planner.planner import Planner
+from planner.processes import worker_pool
 from planner.refinement.refine import refine
 from planner.robot_model import StepModel
 from planner.search.best_first import expand, start_iteration
@@ -87,21 +86,8 @@ def _elsewhere(
     if helpers < 1:
         yield []
         return
-    pool = ProcessPoolExecutor(
-        helpers, mp_context=multiprocessing.get_context("spawn"), initializer=_leave_interrupts
-    )
-    try:
+    with worker_pool(helpers) as pool:
         yield [pool.submit(part, model) for part in parts]
-    except BaseException:
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _leave_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _plan(model: StepModel, options: PlannerOptions) -> None:

@@ -55,9 +55,11 @@ def drawn_by(*words: object, **options: Any) -> str:
 
 
 def interrupted(
-    *words: object, when: Callable[[subprocess.Popen[str]], Any]
+    *words: object,
+    when: Callable[[subprocess.Popen[str]], Any],
+    by: signal.Signals = signal.SIGINT,
 ) -> tuple[int, list[str]]:
-    """Exit code and lines of standard error of Python stopped by Ctrl-C when `when` returns."""
+    """Exit code and lines of standard error of Python stopped by a signal when `when` returns."""
     with subprocess.Popen(
         [sys.executable, *map(str, words)],
         stdout=subprocess.PIPE,
@@ -69,7 +71,7 @@ def interrupted(
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     ) as process:
         when(process)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(by)
         _, err = process.communicate(timeout=300)
     return process.returncode, err.splitlines()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import signal
 import subprocess
 import sys
 from typing import Any
@@ -197,9 +198,16 @@ sys.exit(main(sys.argv[1:]))
 """
 
 
-def test_ctrl_c_ends_in_one_line():
+@pytest.mark.parametrize(
+    ("by", "code", "line"),
+    [
+        (signal.SIGINT, ExitCode.INTERRUPTED, "interrupted"),
+        (signal.SIGTERM, ExitCode.TERMINATED, "terminated"),
+    ],
+)
+def test_ctrl_c_and_sigterm_end_in_one_line(by, code, line):
     def stalled(process):
         assert process.stdout.readline() == "stalled\n"
 
-    code, lines = interrupted("-c", STALL, "plan", "--map", ROOM, *GOAL, when=stalled)
-    assert (code, lines) == (ExitCode.INTERRUPTED, ["interrupted"])
+    done = interrupted("-c", STALL, "plan", "--map", ROOM, *GOAL, when=stalled, by=by)
+    assert done == (code, [line])

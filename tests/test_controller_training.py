@@ -186,7 +186,7 @@ def test_policy_comes_back_from_its_files(tmp_path):
     observation = np.random.default_rng(0).normal(size=(3, 41))
     assert np.array_equal(again.act(observation), policy.act(observation))
     assert again.about["note"] == "a test's"
-    assert not list(tmp_path.glob("*.tmp"))
+    assert {path.name for path in tmp_path.iterdir()} == {"p.json", "p.safetensors"}
 
 
 def test_policy_that_does_not_fit_is_refused_saying_why(tmp_path):

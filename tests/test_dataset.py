@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import signal
 import time
 from pathlib import Path
 from typing import Any
@@ -299,7 +300,8 @@ def test_a_manifest_that_does_not_tell_enough(small, tmp_path, capsys, change, t
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_nothing_behind(tmp_path, by):
     out = tmp_path / "new"
     words = ["dataset", "--count", "100000", "--workers", "2", "--out", str(out)]
 
@@ -308,9 +310,10 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
             time.sleep(0.05)
         time.sleep(1.0)
 
-    code, lines = interrupted("main.py", *words, when=begun)
-    assert code == ExitCode.INTERRUPTED
-    assert lines[-1] == "interrupted"
+    # It returns when the workers, too, have let go of standard error.
+    code, lines = interrupted("main.py", *words, when=begun, by=by)
+    assert code == (ExitCode.INTERRUPTED if by == signal.SIGINT else ExitCode.TERMINATED)
+    assert lines[-1] == ("interrupted" if by == signal.SIGINT else "terminated")
     assert not any("Traceback" in line for line in lines)
     assert list(tmp_path.iterdir()) == []
 

@@ -11,6 +11,7 @@ import pytest
 
 from app.output import InputError, make_folder, replacing, require_writable, write_text
 from app.workers import in_order, portions
+from tests.programs import run_python
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -100,3 +101,19 @@ def test_results_come_in_order_and_a_dead_process_is_told():
     assert list(in_order(_square_or_die, [3, 1, 2], 2)) == [9, 1, 4]
     with pytest.raises(InputError, match="a process died"):
         list(in_order(_square_or_die, [1, 5], 2))
+
+
+KILLED = """
+import os, signal
+from planner.processes import worker_pool
+with worker_pool(1) as pool:
+    print(pool.submit(os.getpid).result(), flush=True)
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_workers_of_a_killed_process_end():
+    """The process they work for cannot tell them, and they hold its standard output open."""
+    done = run_python("-c", KILLED, timeout=300)
+    assert done.returncode == -signal.SIGKILL
+    assert int(done.stdout) > 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 import subprocess
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 
 import planner
-from planner.cache import written_whole
 from planner.heuristics.heuristic import tables_of
 from planner.heuristics.table_file import read_tables, write_tables
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
@@ -128,19 +126,6 @@ def test_without_a_home_temporary_files_serve_and_one_line_says_so(sources, tmp_
     assert said == "2"
     assert errors.count("UserWarning") == 1
     assert "compiled again at every start" in errors
-
-
-def test_a_file_is_replaced_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "file"
-    path.write_text("old")
-    with contextlib.suppress(RuntimeError), written_whole(path) as temporary:
-        temporary.write_text("half")
-        raise RuntimeError
-    assert path.read_text() == "old"
-    with written_whole(path) as temporary:
-        temporary.write_text("new")
-    assert path.read_text() == "new"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planner.cache import written_whole
+from maps.files import written_whole
 from planner.plan import FootstepPlan, PlanStatus, feet_at, relative_steps
 from planner.robot_model import StepModel
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.cache import written_whole
+from maps.files import written_whole
 
 _ALIGNED = 64
 _LENGTH_BYTES = 8
