@@ -162,8 +162,15 @@ def distance_field(blocked: NDArray[np.bool_], resolution_m: float) -> NDArray[n
     # Distances between centres, in cells. The last bits of OpenCV's exact transform differ from one
     # call to the next; the squares are whole numbers, so to round them makes it exact.
     near = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    cells = np.sqrt(np.rint(np.square(np.minimum(near, np.float32(_FAR_CELLS)))))
-    nearest = np.maximum(cells - np.float32(np.sqrt(0.5) + 1e-4), np.float32(0.5))
-    metres = np.where(blocked, np.float32(0.0), nearest * np.float32(resolution_m))
-    result: NDArray[np.float32] = np.ascontiguousarray(metres.astype(np.float32))
-    return result
+    field = np.ascontiguousarray(near, np.float32)
+    del near, free
+    # In place: large maps have tens of millions of cells.
+    np.minimum(field, np.float32(_FAR_CELLS), out=field)
+    np.square(field, out=field)
+    np.rint(field, out=field)
+    np.sqrt(field, out=field)
+    field -= np.float32(np.sqrt(0.5) + 1e-4)
+    np.maximum(field, np.float32(0.5), out=field)
+    field *= np.float32(resolution_m)
+    field[blocked] = 0.0
+    return field

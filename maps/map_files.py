@@ -33,6 +33,7 @@ MODES = ("trinary", "scale", "raw")
 COMES_ALONG = Path(__file__).parent
 YAML_SUFFIXES = (".yaml", ".yml")
 UNKNOWN_GREY = 205
+_ROWS = 256  # of a picture that are read at once
 Pose = tuple[float, float, float]
 
 
@@ -281,35 +282,51 @@ def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
 def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid:
     """Occupancy grid of a picture (H, W[, channels]) read with the metadata's rules."""
     grey, opaque = _grey_and_opaque(image)
+    cell_of = _cell_of_grey(metadata, int(np.iinfo(image.dtype).max))
+    cells = np.empty(grey.shape, np.uint8)
+    for row in range(0, len(grey), _ROWS):  # an index takes eight bytes a pixel
+        cells[row : row + _ROWS] = cell_of[grey[row : row + _ROWS]]
+    if metadata.mode != "raw" and opaque is not None:
+        cells[~opaque] = Cell.UNKNOWN
     full = float(np.iinfo(image.dtype).max)
-    if metadata.mode == "raw":
-        percent = np.rint(grey * (255.0 / full))
-        occupancy = percent / 100.0
-        known = percent <= 100
-    else:
-        occupancy = grey / full if metadata.negate else 1.0 - grey / full
-        known = opaque
-    cells = np.full(grey.shape, Cell.UNKNOWN, np.uint8)
-    free = known & (occupancy <= metadata.free_thresh)
-    cells[free] = Cell.FREE
-    cells[known & (occupancy >= metadata.occupied_thresh)] = Cell.OCCUPIED
-    unknown_grey = np.rint(grey * (255.0 / full)) == UNKNOWN_GREY
-    count = int(np.count_nonzero(free & unknown_grey))
-    if count and metadata.mode != "raw" and not metadata.negate:
-        _warn(
-            f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels of "
-            f"the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown"
-        )
-    if not free.any():
+    if metadata.mode != "raw" and not metadata.negate:
+        of_value = np.rint(np.arange(len(cell_of)) * (255.0 / full)) == UNKNOWN_GREY
+        is_read_free = of_value & (cell_of == Cell.FREE)
+        count = 0
+        if is_read_free.any():
+            values = grey[cells == Cell.FREE]
+            count = int(np.count_nonzero(is_read_free[values]))
+        if count:
+            _warn(
+                f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels "
+                f"of the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown"
+            )
+    if not np.any(cells == Cell.FREE):
         _warn(f"map {metadata.image}: no free cell at all; check negate and free_thresh")
     return OccupancyGrid(
         cells=cells[::-1], resolution_m=metadata.resolution_m, origin=metadata.origin
     )
 
 
-def _grey_and_opaque(image: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Luminance (H, W) in the image's own range, and which pixels are fully opaque."""
-    opaque = np.ones(image.shape[:2], bool)
+def _cell_of_grey(metadata: MapMetadata, full: int) -> NDArray[np.uint8]:
+    """What each luminance from 0 to `full` (full + 1,) stands for."""
+    grey = np.arange(full + 1, dtype=np.float64)
+    known = np.ones(full + 1, np.bool_)
+    if metadata.mode == "raw":
+        percent = np.rint(grey * (255.0 / full))
+        occupancy = percent / 100.0
+        known = percent <= 100
+    else:
+        occupancy = grey / full if metadata.negate else 1.0 - grey / full
+    cell = np.full(full + 1, Cell.UNKNOWN, np.uint8)
+    cell[known & (occupancy <= metadata.free_thresh)] = Cell.FREE
+    cell[known & (occupancy >= metadata.occupied_thresh)] = Cell.OCCUPIED
+    return cell
+
+
+def _grey_and_opaque(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+    """Luminance (H, W) in the image's own range, and which pixels are fully opaque; None: all."""
+    opaque = None
     channels = 1 if image.ndim == 2 else image.shape[2]
     if channels in (2, 4):
         opaque = image[..., -1] == np.iinfo(image.dtype).max
@@ -317,7 +334,7 @@ def _grey_and_opaque(image: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[
         grey = cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
     else:
         grey = image.reshape(*image.shape[:2], -1)[..., 0]
-    return grey.astype(np.float64), opaque
+    return grey, opaque
 
 
 YAML, IMAGE, HEIGHTS = "map.yaml", "map", "map_height"
