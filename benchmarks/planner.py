@@ -1,6 +1,6 @@
-"""Footstep planner on the queries of a benchmark folder: `python -m benchmarks.planner FOLDER`.
+"""Footstep planner on the queries of benchmark folders: `python -m benchmarks.planner FOLDER ...`.
 
-FOLDER holds maps with their YAML and queries.json: per map name a dict with `map` (image) and
+A FOLDER holds maps with their YAML and queries.json: per map name a dict with `map` (image) and
 `queries`, each with start and goal (x_m, y_m, yaw_rad midway between the feet) and
 best_known_cost_m (or null). Every query is planned twice, to the first plan and to epsilon 1, and
 twice more with walls all around the goal or the start, until it is told that no path leads there.
@@ -26,8 +26,9 @@ import tyro
 
 from maps.grid import Cell, OccupancyGrid
 from maps.map_files import load_map
+from planner.endpoints import Footing
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan, PlanStatus
+from planner.plan import FootstepPlan, PlanStatus, feet_at
 from planner.planner import Planner
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
 from planner.verify import violations
@@ -54,13 +55,16 @@ _WALL_M = 0.8, 0.95  # from a goal to the near and the far side of the walls tha
 class Arguments:
     """Footstep planner benchmark.
 
-    folder: maps and queries.json. maps: names to run, all if none. count: queries per map.
-    limit_s: time limit of the runs to epsilon 1. cell_m: cell of the search lattice.
-    epsilon: weight of the first search; the planner's own default is higher, for plans that need
-    no proof.
+    folders: each with maps and queries.json; what they give is told apart. drawn: so many queries
+    drawn at random on each map, from this seed, in place of those of the file. maps: names to run,
+    all if none. count: queries per map. limit_s: time limit of the runs to epsilon 1. cell_m: cell
+    of the search lattice. epsilon: weight of the first search; the planner's own default is higher,
+    for plans that need no proof.
     """
 
-    folder: Annotated[Path, tyro.conf.Positional]
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    drawn: int = 0
+    seed: int = 1
     maps: tuple[str, ...] = ()
     count: int = 1000
     limit_s: float = 7.0
@@ -75,6 +79,22 @@ def queries_by_map(
     document = json.loads((folder / "queries.json").read_text(encoding="utf-8"))
     for name in maps or document:
         yield name, load_map(folder / document[name]["map"]), document[name]["queries"][:count]
+
+
+def drawn_queries(
+    grid: OccupancyGrid, model: StepModel, count: int, seed: int
+) -> list[dict[str, Any]]:
+    """Queries between random poses at which the robot can stand, 2 m apart or more."""
+    rng, queries = np.random.default_rng(seed), list[dict[str, Any]]()
+    x0, y0, x1, y1 = grid.bounds_world()
+    footing = Footing(grid, model, unknown_is_free=False)
+    while len(queries) < count:
+        start, goal = rng.uniform((x0, y0, -math.pi), (x1, y1, math.pi), (2, 3)).tolist()
+        ends = (feet_at(pose, model.stance_width_m) for pose in (start, goal))
+        if math.dist(start[:2], goal[:2]) >= 2.0 and all(map(footing.may_stand, ends)):
+            number = len(queries)
+            queries.append({"id": number, "start": start, "goal": goal, "best_known_cost_m": None})
+    return queries
 
 
 def shut_in(grid: OccupancyGrid, pose: Sequence[float]) -> OccupancyGrid:
@@ -149,6 +169,7 @@ def run_map(
                 "goal_shut_s": refused(grid, model, query, full, "goal"),
                 "start_shut_s": refused(grid, model, query, full, "start"),
                 "wrong": sum(map(len, faults)),
+                "id": query["id"],
             }
         )
     return {name: np.array([row[name] for row in rows], float) for name in rows[0]}
@@ -172,6 +193,21 @@ def row_of(name: str, rows: dict[str, np.ndarray]) -> str:
     )
 
 
+def worst_of(name: str, rows: dict[str, np.ndarray]) -> str:
+    """The five slowest and dearest queries of a map, by number."""
+
+    def worst(key: str, unit: float, form: str) -> str:
+        values = np.nan_to_num(rows[key], nan=-math.inf)
+        order = np.argsort(-values, kind="stable")[:5]
+        return ", ".join(f"{rows['id'][k]:.0f}: {rows[key][k] * unit:{form}}" for k in order)
+
+    return (
+        f"{name}, worst five: first plan, ms, {worst('first_s', 1e3, '.1f')}; "
+        f"its cost over optimum {worst('first_ratio', 1.0, '.2f')}; "
+        f"to epsilon 1, ms, {worst('best_s', 1e3, '.0f')}"
+    )
+
+
 def main() -> None:
     """Runs the benchmark and prints its table."""
     arguments = tyro.cli(Arguments)
@@ -181,8 +217,16 @@ def main() -> None:
         "| expansions | goal shut in, ms, median / p95 | start shut in | wrong plans |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|")
-    for name, grid, queries in queries_by_map(arguments.folder, arguments.maps, arguments.count):
-        print(row_of(name, run_map(grid, queries, arguments)), flush=True)
+    worst = []
+    for folder in arguments.folders:
+        for name, grid, queries in queries_by_map(folder, arguments.maps, arguments.count):
+            if arguments.drawn:
+                queries = drawn_queries(grid, ROBOT, arguments.drawn, arguments.seed)
+            label = name if len(arguments.folders) == 1 else f"{folder.name}/{name}"
+            rows = run_map(grid, queries, arguments)
+            print(row_of(label, rows), flush=True)
+            worst.append(worst_of(label, rows))
+    print("\n".join(["", *worst]))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"peak memory {peak:.0f} MB")
 
