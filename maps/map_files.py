@@ -11,10 +11,14 @@ the floor of a cell is at elevation_offset + elevation_scale * grey value, 0..25
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
 import re
+import sys
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +39,8 @@ YAML_SUFFIXES = (".yaml", ".yml")
 UNKNOWN_GREY = 205
 _ROWS = 256  # of a picture that are read at once
 Pose = tuple[float, float, float]
+# Columns, rows and white of a binary PGM or PPM, up to its first byte of pixels.
+_PNM = re.compile(rb"P[56]" + 3 * rb"(?:\s+#[^\n]*)*\s+(\d+)" + rb"\s")
 
 
 class MapError(ValueError):
@@ -130,14 +136,43 @@ def yaml_lines(image_name: str) -> str:
     )
 
 
+class _Loader(yaml.SafeLoader):
+    """Refuses a key that is there twice, of which YAML's own would take the last."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in seen:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key `{key.value}` is there twice", problem_mark=key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def _at_home(name: str) -> Path:
+    """The path of that name; `~` at its beginning is the home folder, where that is known."""
+    with contextlib.suppress(RuntimeError):
+        return Path(name).expanduser()
+    return Path(name)
+
+
 def read_metadata(file: Path) -> MapMetadata:
     """Contents of a map YAML. Raises MapError naming the key, its value and what would be right."""
     try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise MapError(
             f"map {file}: cannot be read as text ({' '.join(str(error).split())})"
         ) from None
+    try:
+        # The map server's own reader takes a tab after the colon for a space.
+        document = yaml.load(re.sub(r"(?m)^(\w+:)[ \t]*\t[ \t]*", r"\1 ", text), _Loader)
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
+        raise MapError(f"map {file}: {line}not valid YAML ({error.problem})") from None
     except yaml.YAMLError as error:
         raise MapError(f"map {file}: not valid YAML ({' '.join(str(error).split())})") from None
     if not isinstance(document, dict):
@@ -154,7 +189,7 @@ def read_metadata(file: Path) -> MapMetadata:
     if not isinstance(negate, bool) and negate not in (0, 1):
         raise MapError(f"map {file}: negate {negate!r} must be 0, 1, true or false")
     metadata = MapMetadata(
-        image=file.parent / image,
+        image=file.parent / _at_home(image),
         resolution_m=_number("resolution", document["resolution"], file),
         origin=_origin(document["origin"], file),
         negate=bool(negate),
@@ -191,7 +226,7 @@ def _elevation_metadata(document: dict[Any, Any], file: Path) -> dict[str, Any]:
     _require_above_0("elevation_scale", scale_m, "grey value", file)
     offset_m = _number("elevation_offset", document.get("elevation_offset", 0.0), file)
     return {
-        "elevation": file.parent / image,
+        "elevation": file.parent / _at_home(image),
         "elevation_scale_m": scale_m,
         "elevation_offset_m": offset_m,
     }
@@ -250,12 +285,41 @@ def read_image(file: Path) -> NDArray[np.generic]:
     White is the type's largest value: binary PGM files name their own white.
     """
     image, data = _decode(file)
-    header = re.match(rb"P5(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+\d+(?:\s+#[^\n]*)*\s+(\d+)", data)
+    header = _PNM.match(data) if data.startswith(b"P5") else None
     full = np.iinfo(image.dtype).max
-    white = int(header[1]) if header else full
+    white = int(header[3]) if header else full
     if white in (0, full):
         return image
     return np.rint(np.minimum(image, white) * (full / white)).astype(image.dtype)
+
+
+def _announced_bytes(data: bytes) -> int:
+    """How long a binary PGM or PPM, or a BMP, is by its own header; 0 for others."""
+    if data.startswith(b"BM"):
+        return int.from_bytes(data[2:6], "little")
+    if data.startswith((b"P5", b"P6")) and (header := _PNM.match(data)):
+        cols, rows, white = map(int, header.groups())
+        samples = cols * rows * (3 if data.startswith(b"P6") else 1)
+        return header.end() + samples * (2 if white > 255 else 1)
+    return 0
+
+
+@contextlib.contextmanager
+def _silent_libraries() -> Iterator[None]:
+    """Keeps out of standard error what the image libraries write there by themselves."""
+    sys.stderr.flush()
+    try:
+        kept = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
@@ -266,14 +330,16 @@ def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
         raise MapError(f"map image {file}: no such file") from None
     except OSError as error:
         raise MapError(f"map image {file}: cannot be read ({error.strerror})") from None
-    if data.startswith(b"\x89PNG") and b"IEND" not in data[-16:]:
+    if data.startswith(b"\x89PNG") and b"IEND\xaeB`\x82" not in data[-64:]:
         raise MapError(f"map image {file}: the PNG is cut off; copy the file again")
     if data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]:
         raise MapError(f"map image {file}: the JPEG is cut off; copy the file again")
-    try:
+    if len(data) < _announced_bytes(data):
+        kind = "PGM" if data.startswith(b"P") else "BMP"
+        raise MapError(f"map image {file}: the {kind} is cut off; copy the file again")
+    image = None
+    with contextlib.suppress(cv2.error), _silent_libraries():
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise MapError(f"map image {file}: not an image that can be read (PNG, PGM, BMP, JPEG)")
     return image, data
@@ -301,7 +367,12 @@ def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid
                 f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels "
                 f"of the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown"
             )
-    if not np.any(cells == Cell.FREE):
+    if opaque is not None and metadata.mode != "raw" and not opaque.any():
+        _warn(
+            f"map {metadata.image}: every pixel is a little transparent at least (alpha below "
+            f"{full:.0f}), which reads as unknown; save it without transparency"
+        )
+    elif not np.any(cells == Cell.FREE):
         _warn(f"map {metadata.image}: no free cell at all; check negate and free_thresh")
     return OccupancyGrid(
         cells=cells[::-1], resolution_m=metadata.resolution_m, origin=metadata.origin

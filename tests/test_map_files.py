@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import warnings
 from pathlib import Path
@@ -200,6 +201,65 @@ def test_what_is_no_yaml_of_a_map_is_refused(tmp_path, text):
     with pytest.raises(MapError, match=r"m\.yaml") as error:
         load_map(path)
     assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("suffix", [".pgm", ".bmp", ".png", ".jpg"])
+def test_a_picture_that_is_cut_off_is_said_to_be_and_no_library_speaks(write, suffix, capfd):
+    path = write(np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8), suffix)
+    data, kind = path.read_bytes(), "JPEG" if suffix == ".jpg" else suffix[1:].upper()
+    for length in (len(data) * 3 // 4, len(data) - 2):
+        path.write_bytes(data[:length])
+        with pytest.raises(MapError, match=f"the {kind} is cut off"):
+            load_map(path)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp"])
+def test_libraries_do_not_speak_of_damage_themselves(write, suffix, capfd):
+    path = write(np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8), suffix)
+    data, rng = bytearray(path.read_bytes()), np.random.default_rng(1)
+    for at in rng.integers(8, len(data) - 20, 40).tolist():
+        damaged = data.copy()
+        damaged[at] ^= 0xFF
+        path.write_bytes(damaged)
+        with contextlib.suppress(MapError):
+            load_map(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_picture_that_is_a_little_transparent_everywhere_is_told_of(write):
+    picture = not_opaque([0, 255, 255], 254)
+    with pytest.warns(MapWarning, match="transparent at least .alpha below 255."):
+        load_map(write(picture))
+    picture[..., -1] = [254, 255, 254]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert row_of(write(picture)) == [U, F, U]
+
+
+def test_a_tab_after_a_colon_is_a_space(write):
+    path = write(GREYS)
+    beside = path.with_suffix(".yaml")
+    beside.write_text(beside.read_text().replace(": ", ":\t"))
+    assert row_of(path) == [O, O, U, U, U, F, F]
+
+
+def test_a_key_that_is_there_twice_is_named_with_its_line(write):
+    beside = write(GREYS).with_suffix(".yaml")
+    beside.write_text("negate: 1\n" + beside.read_text())
+    line = 1 + beside.read_text().splitlines().index("negate: 0")
+    with pytest.raises(MapError, match=f"line {line}: .*key `negate` is there twice"):
+        load_map(beside)
+
+
+def test_a_tilde_is_the_home_folder(write, tmp_path, monkeypatch):
+    path = write(GREYS)
+    (tmp_path / "home" / "maps").mkdir(parents=True)
+    path.rename(tmp_path / "home" / "maps" / "a.png")
+    beside = path.with_suffix(".yaml")
+    beside.write_text(beside.read_text().replace("m.png", "~/maps/a.png"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert load_map(beside).shape == (1, 7)
 
 
 def test_files_that_are_not_there_are_named(tmp_path, write):
