@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
 import os
 import signal
@@ -137,7 +138,11 @@ def _dispatch(arguments: list[str], program: str) -> int:
         print(overview(program))
         return ExitCode.DONE
     if name not in COMMANDS:
-        raise InputError(f"there is no command {name!r}; the commands are {', '.join(COMMANDS)}")
+        near = difflib.get_close_matches(name, COMMANDS, n=1)
+        guess = f"did you mean {near[0]}? " if near else ""
+        raise InputError(
+            f"there is no command {name!r}; {guess}the commands are {', '.join(COMMANDS)}"
+        )
     if f"{name} {' '.join(rest[:1])}" in COMMANDS:
         name, rest = f"{name} {rest[0]}", rest[1:]
     command = COMMANDS[name]

@@ -11,6 +11,7 @@ import dataclasses
 import difflib
 import inspect
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,7 +69,8 @@ def _reader(
 
     def read(text: str) -> Numbers:
         with contextlib.suppress(ValueError, TypeError):
-            value = kind(*map(float, text.split(",")))
+            *lengths, last = text.split(",")
+            value = kind(*map(float, lengths), float(last) if kind is Interval else _angle(last))
             if all(map(math.isfinite, value)) and fits(value):
                 return value
         raise ValueError(f"{text!r} is not {wanted}")
@@ -76,13 +78,32 @@ def _reader(
     return read
 
 
-parse_pose = _reader(Pose, "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57")
+def _angle(text: str) -> float:
+    """Radians of a number, or of a number of degrees such as 90deg; raises ValueError."""
+    degrees = text.strip().removesuffix("°").removesuffix("deg")
+    if degrees != text.strip():
+        return math.radians(float(degrees))
+    angle_rad = float(text)
+    if 2 * math.pi < abs(angle_rad) < math.inf:
+        turn_deg = math.degrees(math.remainder(angle_rad, 2 * math.pi))
+        warnings.warn(
+            f"{angle_rad:g} is read as radians, the same as {turn_deg:.0f}deg; "
+            f"write {angle_rad:g}deg for degrees",
+            UserWarning,
+            stacklevel=2,
+        )
+    return angle_rad
+
+
+parse_pose = _reader(
+    Pose, "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57 or 2,1,90deg"
+)
 parse_interval = _reader(
     Interval, "a range; write LOW,HIGH, such as -1,1", lambda range_: range_.low <= range_.high
 )
 parse_reach = _reader(
     Reach,
-    "a reach; write M,RAD in metres and radians, such as 0.05,0.1",
+    "a reach; write M,RAD in metres and radians, such as 0.05,0.1 or 0.05,5deg",
     lambda reach: min(reach) >= 0,
 )
 
@@ -112,7 +133,11 @@ def text(
 
 
 def number(
-    *, at_least: float | None = None, above: float | None = None, whole: bool = False
+    *,
+    at_least: float | None = None,
+    above: float | None = None,
+    whole: bool = False,
+    metavar: str = "NUMBER",
 ) -> PrimitiveConstructorSpec[Any]:
     """Reads a finite number within bounds, for `Annotated[float, ...]`."""
     wanted = "a whole number" if whole else "a number"
@@ -132,12 +157,12 @@ def number(
             raise ValueError(f"{word!r} is not {wanted}")
         return value
 
-    return text("COUNT" if whole else "NUMBER", read)
+    return text(metavar, read)
 
 
-def whole_number(*, at_least: int) -> PrimitiveConstructorSpec[Any]:
+def whole_number(*, at_least: int, metavar: str = "COUNT") -> PrimitiveConstructorSpec[Any]:
     """Reads a whole number within bounds, for `Annotated[int, ...]`."""
-    return number(at_least=at_least, whole=True)
+    return number(at_least=at_least, whole=True, metavar=metavar)
 
 
 def choice(*names: str) -> PrimitiveConstructorSpec[Any]:
@@ -181,7 +206,7 @@ OptionalFolder = Annotated[Path | None, _FOLDER]
 RobotName = Annotated[str, text("NAME")]
 PaceOption = Annotated[str, choice(*PACES)]
 PushOption = Annotated[float, number(at_least=0.0)]
-SeedOption = Annotated[int, whole_number(at_least=0)]
+SeedOption = Annotated[int, whole_number(at_least=0, metavar="SEED")]
 WorkersOption = Annotated[int, whole_number(at_least=0)]
 CountOption = Annotated[int, whole_number(at_least=1)]
 
@@ -287,7 +312,8 @@ class GoalOptions(MapOptions):
     """From where to where on the map."""
 
     goal: PoseOption
-    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57."""
+    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57; an angle
+    may be in degrees, such as 2,1,90deg."""
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
     """Where the robot stands at first, such as -1,2,0."""
@@ -315,7 +341,7 @@ class PlanningOptions(RobotOptions, MapOptions):
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
     refine: bool = True
-    """Move the steps off the lattice to where they cost less, unless --no-refine is given."""
+    """Leave the steps on the lattice, and do not move them to where they cost less."""
 
     seed: SeedOption = 0
     """Seed of everything random, such as 7."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -93,6 +95,26 @@ def test_a_pose_may_begin_with_a_minus(words):
 
 def test_a_pose_may_begin_with_a_bare_point():
     assert parse("--goal", "-.5,.25,0").goal == Pose(-0.5, 0.25, 0.0)
+
+
+@pytest.mark.parametrize("word", ["2,1,90deg", "2,1,90°", "2,1, 90deg", "2,1,450deg"])
+def test_a_heading_may_be_in_degrees(word):
+    x_m, y_m, yaw_rad = parse("--goal", word).goal
+    assert (x_m, y_m) == (2.0, 1.0)
+    assert math.remainder(yaw_rad - math.pi / 2, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_heading_that_looks_like_degrees_is_told_of():
+    with pytest.warns(UserWarning, match="90 is read as radians, the same as 117deg; write 90deg"):
+        assert parse("--goal", "2,1,90").goal.yaw_rad == 90.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parse("--goal", "2,1,6.28")
+
+
+@pytest.mark.parametrize("word", ["2,1,deg", "2,90deg,0", "2,1,90 degrees", "2,1,infdeg"])
+def test_degrees_are_for_headings_alone(word):
+    assert "or 2,1,90deg" in refusal("--goal", word)
 
 
 def test_everything_given_is_taken():

@@ -39,7 +39,7 @@ class ServeOptions(PlanningOptions):
     host: Annotated[str, text("ADDRESS")] = "127.0.0.1"
     """Address to serve at, such as 0.0.0.0 for everybody who can reach this machine."""
 
-    port: Annotated[int, whole_number(at_least=0)] = 8080
+    port: Annotated[int, whole_number(at_least=0, metavar="PORT")] = 8080
     """Port to serve at, such as 8080; 0 for any that is free."""
 
 
