@@ -211,3 +211,8 @@ def test_ctrl_c_and_sigterm_end_in_one_line(by, code, line):
 
     done = interrupted("-c", STALL, "plan", "--map", ROOM, *GOAL, when=stalled, by=by)
     assert done == (code, [line])
+
+
+def test_a_mistyped_command_gets_a_guess(capsys):
+    assert "'naviagte'; did you mean navigate?" in refusal(capsys, "naviagte")
+    assert "did you mean" not in refusal(capsys, "xyz")

@@ -47,7 +47,7 @@ from app.output import (
     to_json,
     write_text,
 )
-from app.workers import in_order, portions
+from app.workers import compile_planner, in_order, portions
 from maps.map_files import HEIGHTS, IMAGE, YAML, MapError, copy_map, find_map
 from planner.corpus.corpus import MANIFEST, PLANS, Corpus, CorpusError, corpus_of
 from planner.options import PLANNERS, PlannerOptions
@@ -235,6 +235,8 @@ def draw(wanted: RandomPlans, count: int, workers: int) -> list[Drawn]:
     """
     from planner.corpus.generate import random_plans
 
+    # Once, and not in every worker.
+    compile_planner(wanted.model, wanted.options)
     drawn: list[Drawn] = []
     jobs = portions(count, workers, DRAW_PORTION)
     with ProgressBar("plans", count) as bar:

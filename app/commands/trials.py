@@ -27,7 +27,7 @@ from app.options import (
     read_grid,
 )
 from app.output import ExitCode, InputError, ProgressBar, make_folder, to_json, write_text
-from app.workers import in_order
+from app.workers import compile_planner, in_order
 from maps.grid import OccupancyGrid
 from planner.plan import feet_at
 
@@ -82,6 +82,7 @@ def run(options: TrialsOptions) -> int:
     robot, _ = load_walker(options.robot, options.policy, options.pace)
     make_folder(options.out, option="--out")
     trials = draw_trials(grid, options)
+    compile_planner(robot.step_model, options.planner_options())  # once, not in every worker
     results = []
     with ProgressBar("walks", len(trials)) as bar:
         walk = functools.partial(walk_one, grid, options)
