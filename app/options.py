@@ -63,14 +63,21 @@ Numbers = TypeVar("Numbers", Pose, Interval, Reach)
 
 
 def _reader(
-    kind: type[Numbers], wanted: str, fits: Callable[[Numbers], bool] = lambda _: True
+    kind: type[Numbers],
+    wanted: str,
+    fits: Callable[[Numbers], bool] = lambda _: True,
+    *,
+    last: Callable[[str], float] = float,
 ) -> Callable[[str], Numbers]:
-    """Reads finite numbers with commas between; raises ValueError unless they are as wanted."""
+    """Reads finite numbers with commas between, the last by a function of its own.
+
+    Raises ValueError unless they are as wanted.
+    """
 
     def read(text: str) -> Numbers:
         with contextlib.suppress(ValueError, TypeError):
-            *lengths, last = text.split(",")
-            value = kind(*map(float, lengths), float(last) if kind is Interval else _angle(last))
+            *words, end = text.split(",")
+            value = kind(*[*map(float, words), last(end)])
             if all(map(math.isfinite, value)) and fits(value):
                 return value
         raise ValueError(f"{text!r} is not {wanted}")
@@ -96,7 +103,9 @@ def _angle(text: str) -> float:
 
 
 parse_pose = _reader(
-    Pose, "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57 or 2,1,90deg"
+    Pose,
+    "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57 or 2,1,90deg",
+    last=_angle,
 )
 parse_interval = _reader(
     Interval, "a range; write LOW,HIGH, such as -1,1", lambda range_: range_.low <= range_.high
@@ -105,6 +114,7 @@ parse_reach = _reader(
     Reach,
     "a reach; write M,RAD in metres and radians, such as 0.05,0.1 or 0.05,5deg",
     lambda reach: min(reach) >= 0,
+    last=_angle,
 )
 
 
