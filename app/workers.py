@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
 from app.output import InputError, ProgressBar, say
 from planner.options import PlannerOptions
-from planner.processes import worker_pool
 from planner.robot_model import StepModel
 
 Job = TypeVar("Job")
@@ -33,12 +36,44 @@ def in_order(
         yield from map(function, jobs)
         return
     try:
-        with worker_pool(workers) as pool:
+        with _worker_pool(workers) as pool:
             yield from pool.map(function, jobs)
     except BrokenProcessPool:
         raise InputError(
             "a process died, perhaps for want of memory: try fewer --workers"
         ) from None
+
+
+@contextlib.contextmanager
+def _worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """So many new processes, which end with the block: at once if it raises, Ctrl-C among that.
+
+    They also end when this process is killed. What they are given must be importable there.
+    """
+    others = set(multiprocessing.active_children())
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)
+    try:
+        yield pool
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Leaves Ctrl-C to the process that started this one, and ends when that one has gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def compile_planner(model: StepModel, options: PlannerOptions) -> float:
@@ -48,11 +83,11 @@ def compile_planner(model: StepModel, options: PlannerOptions) -> float:
     with contextlib.ExitStack() as stack:
         bar: ProgressBar | None = None
 
-        def show(done: int, parts: int, name: str) -> None:
+        def show(done: int, functions: int, name: str) -> None:
             nonlocal bar
             if bar is None:
                 say("compiling the planner; later runs find it compiled")
-                bar = stack.enter_context(ProgressBar("compiling, parts", parts))
+                bar = stack.enter_context(ProgressBar("compiling, functions", functions))
             bar.update(done, name)
 
         return compile_ahead(model, options, show)

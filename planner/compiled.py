@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import mmap
+import os
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeVar
@@ -19,6 +20,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _jit: Any = njit  # its types do not know of the option
 _config: Any = config
+FUNCTIONS: list[Any] = []  # all that is compiled, as far as its files are imported
 
 
 def njit_no_refcount(function: _Function) -> _Function:
@@ -51,7 +53,30 @@ def _compiled(function: _Function, **options: bool) -> _Function:
         compiled: _Function = _jit(cache=folder is not None, **options)(function)
     finally:
         _config.CACHE_DIR = before
+    FUNCTIONS.append(compiled)
     return compiled
+
+
+class _CompilesSooner(event.Listener):
+    """Lets LLVM optimise this package's functions less, which takes it a quarter less time.
+
+    The loops are as fast: they are not such as can be vectorised. A level in NUMBA_OPT holds.
+    """
+
+    def __init__(self) -> None:
+        self._before: list[tuple[Any, Any]] = []
+
+    def on_start(self, event: Any) -> None:
+        self._before.append((_config.OPT, _config.LOOP_VECTORIZE))
+        if event.data["dispatcher"].py_func.__module__.startswith("planner."):
+            _config.OPT, _config.LOOP_VECTORIZE = type(_config.OPT)(2), 0
+
+    def on_end(self, event: Any) -> None:
+        _config.OPT, _config.LOOP_VECTORIZE = self._before.pop()
+
+
+if "NUMBA_OPT" not in os.environ:
+    event.register("numba:compile", _CompilesSooner())
 
 
 class _Listener(event.Listener):

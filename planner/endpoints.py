@@ -19,6 +19,7 @@ from planner.collision import (
 )
 from planner.plan import FootstepPlan, feet_at, pair_pose
 from planner.robot_model import Side, StepModel, rounded_box
+from planner.time_limit import OutOfTime, check_time
 
 FloatArray = NDArray[np.float64]
 _SEARCH_RADIUS_M = 2.0
@@ -83,23 +84,46 @@ def nearest_free_pose(
     """The pose nearest to a blocked one, on rings 5 cm apart, at which the robot can stand.
 
     The heading is kept if any place allows it, else turned by quarter turns. None within 2 m.
+    Raises OutOfTime where a limit passes on the way.
     """
     x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose, dtype=float))
     steps = np.arange(-_SEARCH_RADIUS_M, _SEARCH_RADIUS_M + 0.01, 0.05)
     away = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     away = away[np.argsort(np.hypot(away[:, 0], away[:, 1]), kind="stable")]
+    places = np.round(away + np.array([x_m, y_m]), 3)
+    places = places[_may_hold_body(grid, terrain, model, places)]
     for turn in (0.0, math.pi / 2, -math.pi / 2, math.pi):
-        for dx_m, dy_m in away:
-            yaw = math.remainder(yaw_rad + turn, 2 * math.pi)
-            there = round(x_m + dx_m, 3), round(y_m + dy_m, 3), round(yaw, 4)
+        yaw = round(math.remainder(yaw_rad + turn, 2 * math.pi), 4)
+        for x, y in places.tolist():
+            check_time()
+            there = x, y, yaw
             if not what_blocks(grid, terrain, model, feet_at(there, model.stance_width_m)):
                 return there
     return None
 
 
+def _may_hold_body(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel, places: FloatArray
+) -> NDArray[np.bool_]:
+    """False (n,) for points (n, 2) of the world too near to an obstacle for any heading.
+
+    The distance field is that of the middles of cells, and at most 0.21 cells too low.
+    """
+    size_m = terrain.resolution_m
+    col, row = np.floor(grid.world_to_grid(places) / size_m).astype(int).T
+    rows, cols = terrain.blocked.shape
+    on_map = (col >= 0) & (row >= 0) & (col < cols) & (row < rows)
+    clearance_m = terrain.clearance_m[row.clip(0, rows - 1), col.clip(0, cols - 1)]
+    body_m = min(model.body.length_m, model.body.width_m) / 2 + model.body_margin_m
+    return np.asarray(on_map & (clearance_m >= body_m - size_m))
+
+
 def suggestion(grid: OccupancyGrid, terrain: Terrain, model: StepModel, pose: ArrayLike) -> str:
-    """Half a sentence that names the nearest free pose."""
-    there = nearest_free_pose(grid, terrain, model, pose)
+    """Half a sentence that names the nearest free pose; empty where there is no time for it."""
+    try:
+        there = nearest_free_pose(grid, terrain, model, pose)
+    except OutOfTime:
+        return ""
     if there is None:
         return f"; no pose within {_SEARCH_RADIUS_M:g} m is free"
     return f"; the nearest free pose is {there[0]:g},{there[1]:g},{there[2]:g}"

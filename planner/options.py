@@ -28,8 +28,9 @@ class PlannerOptions:
     clock on top of them; results then depend on the machine. stop_at_first: be content with the
     first plan. refine: move the plan's steps off the lattice to lower its cost. unknown_is_free:
     walk on cells that nobody has seen. heuristic: one of `HEURISTICS`. seed: of the planners that
-    draw at random. goal_reach_m, goal_reach_rad: how far from the goal, and how far turned, plans
-    may end; those of `SAMPLING_PLANNERS` end at the goal itself.
+    draw at random. partial: where a limit ends the search without a plan, give the steps that lead
+    nearest to the goal. goal_reach_m, goal_reach_rad: how far from the goal, and how far turned,
+    plans may end; those of `SAMPLING_PLANNERS` end at the goal itself.
     """
 
     name: str = "ara"
@@ -44,6 +45,7 @@ class PlannerOptions:
     record: bool = False
     heuristic: str = FULL
     seed: int = 0
+    partial: bool = False
     goal_reach_m: float = 0.0
     goal_reach_rad: float = 0.0
 

@@ -21,7 +21,10 @@ _STEP_KEYS = ("x", "y", "z", "yaw")
 
 
 class PlanStatus(StrEnum):
-    """Outcome of a planning request; only FOUND carries steps."""
+    """Outcome of a planning request; only FOUND carries steps to the goal.
+
+    TIMED_OUT carries the first of them where a part was asked for.
+    """
 
     FOUND = "found"
     START_BLOCKED = "start_blocked"
@@ -115,7 +118,8 @@ class FootstepPlan:
 
     def __repr__(self) -> str:
         if not self.found:
-            return f"FootstepPlan({self.status}: {self.reason})"
+            part = f"{len(self)} first steps, " if len(self) else ""
+            return f"FootstepPlan({part}{self.status}: {self.reason})"
         bound = f"at most {self.epsilon:.2f} times the least" if self.epsilon > 1 else "the least"
         return f"FootstepPlan({len(self)} steps, cost {self.cost_m:.2f} m, {bound})"
 

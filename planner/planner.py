@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -33,16 +34,21 @@ from planner.refinement.refine import refine
 from planner.robot_model import Side, StepModel
 from planner.search.ad_star import plan_adstar
 from planner.search.ara_star import coarse_model, plan_ara, plan_astar, plan_backward
+from planner.search.first_part import soon_found
 from planner.search.passages import narrow_place
-from planner.search.problem import GoalContext, Request, Result
+from planner.search.problem import GoalContext, Request, Result, out_of_time
 from planner.search.r_star import plan_rstar
 from planner.search.search_record import SearchRecord
+from planner.time_limit import OutOfTime, time_left_s, until
 from planner.verify import violations
 
 FloatArray = NDArray[np.float64]
 # Takes the request, the options and the time.perf_counter() of the request's arrival.
 Backend = Callable[[Request, PlannerOptions, float], Result]
 _ALREADY_THERE_M = 1e-6
+# What of a limited time is kept for refinement, or for the first part of a plan if there is none,
+# and for the check of each refined step.
+_KEPT_SHARE, _KEPT_S, _CHECK_S = 0.3, 0.2, 5e-4
 _ROUNDING = 1e-9
 
 
@@ -76,6 +82,7 @@ class Planner:
         self.grid = grid
         self.model = model
         self.options = options or PlannerOptions()
+        self._backend = backend(self.options.name)
         self._terrain = terrain_of(grid, self.options.unknown_is_free)
         self._tables = tables_of(model)
         self._coarse = coarse_model(model)
@@ -123,7 +130,8 @@ class Planner:
         if (start is None) == (start_feet_world is None):
             raise ValueError("give either start or start_feet_world")
         began = time.perf_counter()
-        with on_compiling() as compiling:
+        until_s = began + (self.options.time_limit_s or math.inf)
+        with on_compiling() as compiling, until(until_s):
             plan = self._plan(goal, start, start_feet_world, first_side, began)
         self.compile_time_s += compiling.taken_s
         # What had to be compiled belongs to the first plan of a new installation only.
@@ -234,7 +242,7 @@ class Planner:
             stands=stands and bool(what_obstructs(*ground, feet)),
             first_side=first_side,
         )
-        result = backend(self.options.name)(request, self.options, began)
+        result = self._result(request, began)
         self.record = _in_world(result.record, plan.goal)
         plan = replace(
             plan,
@@ -248,15 +256,40 @@ class Planner:
         if result.status is PlanStatus.NO_PATH and not self._terrain.is_flat:
             low_m, high_m = self.model.limits.z_m
             return replace(plan, reason=f"{plan.reason}; steps go from {low_m:g} to {high_m:g} m")
+        if len(result.side) and result.status is not PlanStatus.FOUND:
+            plan = self._with_steps(plan, result)
+            x_m, y_m, _ = pair_pose(plan.pose_world[-2:])
+            part = f"the first {len(plan)} steps end at {x_m:.2f},{y_m:.2f}"
+            return replace(plan, reason=f"{plan.reason}; {part}")
         if result.status is not PlanStatus.FOUND:
             return plan
         plan = replace(self._with_steps(plan, result), epsilon=result.epsilon)
         return self._refined(plan, request, result) if self.options.refine else plan
 
+    def _result(self, request: Request, began: float) -> Result:
+        """What the search finds in the time that it has."""
+        left_s, options = time_left_s(), self.options
+        keeps = options.refine or options.partial
+        kept_s = min(_KEPT_SHARE * left_s, _KEPT_S) if keeps and left_s < math.inf else 0.0
+        try:
+            with until(time.perf_counter() + left_s - kept_s):
+                result = self._backend(request, options, began)
+        except OutOfTime:
+            assert options.time_limit_s is not None
+            result = out_of_time(request, options.time_limit_s)
+        if options.partial and result.status is PlanStatus.TIMED_OUT and not len(result.side):
+            return soon_found(request, result)
+        return result
+
     def _with_narrow_place(self, plan: FootstepPlan) -> FootstepPlan:
-        """The plan with the narrow place of the widest way, if the robot cannot walk through."""
+        """The plan with the narrow place of the widest way, if the robot cannot walk through.
+
+        Without it where there is no time to look for it.
+        """
         start, goal = self._cell(plan.start), self._cell(plan.goal)
-        place = narrow_place(self._terrain, self.model, start, goal)
+        place = None
+        with contextlib.suppress(OutOfTime):
+            place = narrow_place(self._terrain, self.model, start, goal)
         if place is None:
             return plan
         x_m, y_m = (float(v) for v in self.grid.grid_to_world((place.x, place.y)))
@@ -271,18 +304,22 @@ class Planner:
     def _refined(self, plan: FootstepPlan, request: Request, result: Result) -> FootstepPlan:
         """The refined plan; the plan itself if that is no cheaper or `violations` finds a fault."""
         plan = replace(plan, cost_before_refinement_m=plan.cost_m)
-        moved = refine(request, result)
+        with until(time.perf_counter() + time_left_s() - _CHECK_S * len(plan)):
+            moved = refine(request, result)
         if moved is result:
             return plan
         refined = self._with_steps(plan, moved)
-        wrong = violations(
-            refined,
-            self.grid,
-            self.model,
-            unknown_is_free=self.options.unknown_is_free,
-            stood_freely=not request.stands,
-            goal_reach=(self._region.reach_m, self._region.reach_rad),
-        )
+        try:
+            wrong = violations(
+                refined,
+                self.grid,
+                self.model,
+                unknown_is_free=self.options.unknown_is_free,
+                stood_freely=not request.stands,
+                goal_reach=(self._region.reach_m, self._region.reach_rad),
+            )
+        except OutOfTime:
+            return plan
         return plan if wrong else refined
 
     def _with_steps(self, plan: FootstepPlan, result: Result) -> FootstepPlan:
@@ -338,16 +375,20 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
     if not len(poses):
         raise ValueError("poses is empty: give at least the goal")
     began = time.perf_counter()
-    legs = [planner.plan(goal=poses[0], start=start)]
-    for number, pose in enumerate(poses[1:], start=2):
-        if not legs[-1].found:
-            break
-        leg = _next_leg(planner, legs, pose)
-        if not leg.found:
-            leg = replace(leg, reason=f"leg {number} of {len(poses)}: {leg.reason}")
-        legs.append(leg)
+    legs: list[FootstepPlan] = []
+    with until(began + (planner.options.time_limit_s or math.inf)):
+        for pose in poses:
+            if legs and not legs[-1].found:
+                break
+            # The legs that are still to come get as much of the time that is left.
+            with until(time.perf_counter() + time_left_s() / (len(poses) - len(legs))):
+                leg = _next_leg(planner, legs, pose, start)
+            if legs and not leg.found:
+                leg = replace(leg, reason=f"leg {len(legs) + 1} of {len(poses)}: {leg.reason}")
+            legs.append(leg)
     last = legs[-1]
-    walked = legs if last.found else []
+    is_part = planner.options.partial and last.status is PlanStatus.TIMED_OUT
+    walked = legs if last.found or is_part else []
     # None where the robot stands at the pose already, so that nothing was there to refine.
     before_m = [leg.cost_before_refinement_m for leg in walked]
     refined = any(cost_m is not None for cost_m in before_m)
@@ -367,8 +408,15 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
     )
 
 
-def _next_leg(planner: Planner, legs: Sequence[FootstepPlan], pose: ArrayLike) -> FootstepPlan:
-    """The leg to a pose from the feet at which the legs end; the last swing foot stands first."""
+def _next_leg(
+    planner: Planner, legs: Sequence[FootstepPlan], pose: ArrayLike, start: ArrayLike
+) -> FootstepPlan:
+    """The leg to a pose from the feet at which the legs end, or from the start if there are none.
+
+    The last swing foot stands first.
+    """
+    if not legs:
+        return planner.plan(goal=pose, start=start)
     feet = legs[0].start_feet_world.copy()
     first_side = None
     for leg in legs:

@@ -10,8 +10,9 @@ import shapely
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid
-from planner.plan import FootstepPlan
+from planner.plan import FootstepPlan, PlanStatus
 from planner.robot_model import BodyShape, FootShape, Side, StepModel
+from planner.time_limit import check_time
 
 FloatArray = NDArray[np.float64]
 _TOLERANCE_M = 1e-6
@@ -28,7 +29,7 @@ def violations(
     stood_freely: bool = True,
     goal_reach: tuple[float, float] = (0.0, 0.0),
 ) -> list[str]:
-    """What is wrong with a plan that was found, one line each; empty if it is right.
+    """What is wrong with a plan, or the first part of one, one line each; empty if it is right.
 
     Sides alternate; each step is within the limits; consecutive feet keep the gap; the boxes of
     feet (at every step) and body (at every pair of feet and over every single foot) keep their
@@ -37,9 +38,10 @@ def violations(
     last two feet are those of the goal pose, exactly. stood_freely: the plan began at a pair pose,
     so the margins count in the first step too; false where it began from feet as they stood.
     goal_reach: metres from the goal and radians off its heading at which both feet may stand, side
-    by side, in the end.
+    by side, in the end. Raises OutOfTime where a limit passes on the way.
     """
-    if not plan.found:
+    is_part = plan.status is PlanStatus.TIMED_OUT and len(plan) > 0
+    if not plan.found and not is_part:
         return [f"status is {plan.status}, not found"]
     if not len(plan):
         there = _feet_are_at_goal(plan, model, goal_reach)
@@ -48,6 +50,7 @@ def violations(
     wrong: list[str] = []
     support = plan.start_feet_world[Side(int(plan.side[0])).other]
     for i, (side, pose) in enumerate(zip(plan.side, plan.pose_world, strict=True)):
+        check_time()
         swing = Side(int(side))
         if i and swing == plan.side[i - 1]:
             wrong.append(f"step {i}: {swing.name.lower()} foot twice in a row")
@@ -59,7 +62,7 @@ def violations(
         ):
             wrong += [f"step {i}: {what}" for what in found]
         support = pose
-    if not _feet_are_at_goal(plan, model, goal_reach):
+    if plan.found and not _feet_are_at_goal(plan, model, goal_reach):
         wrong.append("the last two feet are not the goal's")
     return wrong
 

@@ -26,7 +26,7 @@ MAY_IMPORT = {
 
 # Room of the planner -> what it may import of the planner, besides itself.
 _BASE = (
-    *("cache", "compiled", "robot_model", "plan", "options"),
+    *("cache", "compiled", "robot_model", "plan", "options", "time_limit"),
     "collision",
 )
 PLANNER_ROOMS = {

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +13,8 @@ import pytest
 from planner.heuristics.heuristic import tables_of
 from planner.heuristics.turning import SECTORS
 from planner.options import PlannerOptions
-from planner.plan import PlanStatus
-from planner.planner import Planner, plan_footsteps
+from planner.plan import PlanStatus, pair_pose
+from planner.planner import Planner, plan_footsteps, plan_through
 from planner.search.ara_star import coarse_model, nodes_on_fine
 from planner.search.best_first import enters_bin, new_bins
 from planner.verify import violations
@@ -80,6 +82,109 @@ def test_a_time_limit_ends_a_search_without_a_plan():
     assert plan.status is PlanStatus.TIMED_OUT
     assert "1e-06 s" in plan.reason
     assert len(plan) == 0
+
+
+class SlowClock:
+    """A clock that goes on by a second whenever somebody looks at it."""
+
+    def __init__(self):
+        self.looks = 0
+
+    def __call__(self):
+        self.looks += 1
+        return float(self.looks)
+
+
+@contextlib.contextmanager
+def slow_clock(monkeypatch):
+    with monkeypatch.context() as patch:
+        clock = SlowClock()
+        patch.setattr("time.perf_counter", clock)
+        yield clock
+
+
+LIMITS_S = 0.5, 1.5, 2.5, 3.5, 5.5, 8.5, 12.5, 18.5, 28.5, 45.5, 90.5, 200.5
+MOST_LOOKS_LATER = 40
+
+
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("planner", ["ara", "backward", "adstar", "rstar", "rrtconnect", "prmstar"])
+def test_whenever_the_time_runs_out_what_there_is_comes_at_once(planner, partial, monkeypatch):
+    grid, start, goal = CASES["posts"]
+    model, seen = small_model(cell_m=0.05, headings=16), set()
+    best_m = plan_on_lattice(grid, model, start=start, goal=goal).cost_m
+    for limit_s in LIMITS_S:
+        options = PlannerOptions(
+            name=planner,
+            refine=partial,
+            time_limit_s=limit_s,
+            improve_expansions=None,
+            partial=partial,
+        )
+        query = Planner(grid, model, options)
+        with slow_clock(monkeypatch) as clock:
+            plan = query.plan(start=start, goal=goal)
+        assert clock.looks <= limit_s + MOST_LOOKS_LATER
+        assert violations(plan, grid, model) == [] or not len(plan)
+        seen.add((plan.status, len(plan) > 0))
+        if plan.found and not partial and np.isfinite(plan.epsilon):
+            assert best_m - 1e-6 <= plan.cost_m <= plan.epsilon * best_m + 1e-6
+        if not plan.found:
+            assert plan.status is PlanStatus.TIMED_OUT
+            assert f"within {limit_s:g} s" in plan.reason
+        if "at least" in plan.reason:
+            assert float(plan.reason.split("at least ")[1].split(" m")[0]) <= best_m + 0.005
+    assert (PlanStatus.FOUND, True) in seen
+    # The backward search finds its plan between two looks at the clock.
+    assert partial or planner == "backward" or (PlanStatus.TIMED_OUT, False) in seen
+
+
+def test_a_search_tree_is_whole_whenever_the_time_ran_out(monkeypatch):
+    grid, start, goal = CASES["posts"]
+    model = small_model(cell_m=0.05, headings=16)
+    best = plan_on_lattice(grid, model, start=start, goal=goal)
+    whole = PlannerOptions(name="adstar", refine=False, improve_expansions=None)
+    kept = Planner(grid, model, whole)
+    for limit_s in LIMITS_S:
+        kept.options = replace(whole, time_limit_s=limit_s)
+        with slow_clock(monkeypatch):
+            kept.plan(start=start, goal=goal)
+        fresh = Planner(grid, model, replace(whole, time_limit_s=limit_s))
+        with slow_clock(monkeypatch):
+            fresh.plan(start=start, goal=goal)
+        fresh.options = whole
+        assert fresh.plan(start=start, goal=goal).cost_m == pytest.approx(best.cost_m)
+    kept.options = whole
+    assert kept.plan(start=start, goal=goal).cost_m == pytest.approx(best.cost_m)
+
+
+def test_the_first_part_of_a_plan_leads_nearer_to_the_goal():
+    hall = walled(80, 80, ((0, 38, 64, 42),), resolution_m=0.05)
+    model = small_model(cell_m=0.05, headings=32)
+    options = PlannerOptions(
+        name="astar", heuristic="euclidean", max_expansions=3000, refine=False, partial=True
+    )
+    start, goal = (0.5, 0.5, 0.0), (3.4, 0.6, 3.0)
+    plan = plan_footsteps(hall, model, start=start, goal=goal, options=options)
+    assert plan.status is PlanStatus.TIMED_OUT
+    assert len(plan) > 2
+    assert violations(plan, hall, model) == []
+    end = pair_pose(plan.pose_world[-2:])
+    assert math.dist(end[:2], goal[:2]) < math.dist(start[:2], goal[:2]) - 0.5
+    assert f"the first {len(plan)} steps end at {end[0]:.2f},{end[1]:.2f}" in plan.reason
+    without = replace(options, partial=False)
+    assert not len(plan_footsteps(hall, model, start=start, goal=goal, options=without))
+
+
+def test_legs_share_the_time(monkeypatch):
+    grid, start, goal = CASES["posts"]
+    model = small_model(cell_m=0.05, headings=16)
+    for limit_s in (6.5, 40.5):
+        planner = Planner(grid, model, PlannerOptions(time_limit_s=limit_s, partial=True))
+        with slow_clock(monkeypatch) as clock:
+            plan = plan_through(planner, start=start, poses=[goal, start])
+        assert clock.looks <= limit_s + 2 * MOST_LOOKS_LATER
+        assert len(plan)
 
 
 def test_a_plan_cut_short_reports_a_bound_that_holds():

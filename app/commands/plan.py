@@ -67,6 +67,9 @@ class PlanOptions(PlanningOptions, GoalOptions):
     time_limit: OptionalTime = None
     """Seconds after which the best plan so far is taken, such as 0.5."""
 
+    partial: bool = False
+    """Where the time runs out without a plan, give the steps that lead nearest to the goal."""
+
     prove: bool = False
     """Go on until the plan is proven to be the cheapest; else only a while past the first plan."""
 
@@ -133,6 +136,7 @@ def _search(options: PlanOptions) -> PlannerOptions:
             epsilon=options.epsilon,
             improve_expansions=PlannerOptions.improve_expansions if improve else None,
             time_limit_s=options.time_limit,
+            partial=options.partial,
             record=options.search_image is not None,
             goal_reach_m=options.goal_tolerance.m,
             goal_reach_rad=options.goal_tolerance.rad,

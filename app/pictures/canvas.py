@@ -278,8 +278,8 @@ def draw_plan(
     """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
 
     Large maps are cropped to the surroundings of the plan, and any map to those of points
-    shown_world (n, 2) where they are given. A plan that was not found shows start, goal, and the
-    passage that is too narrow, if any is.
+    shown_world (n, 2) where they are given. A plan that was not found shows start, goal, its first
+    part if there is one, and the passage that is too narrow, if any is.
     """
     if shown_world is None:
         points = np.vstack([plan.pose_world[:, :2], plan.start_feet_world[:, :2], [plan.goal[:2]]])
@@ -289,7 +289,7 @@ def draw_plan(
     else:
         around = surroundings(grid, shown_world, is_large=True)
         canvas = Canvas(grid, around_world=around, margin_m=0.8)
-    if plan.found:
+    if plan.found or len(plan):
         canvas.line(body_path(plan)[:, :2], PATH, 0.02)
     canvas.feet(plan, model, 0.35)
     if not plan.found:

@@ -229,8 +229,9 @@ def simpler_heuristic(
         base_um, cost_um = _path_costs_to_ends(lattice, model, tables, ends)
         return heuristic_by_path(lattice, potential, cost_um, base_um + potential.potential_um)
     rate = _cost_of_metre(model, tables, counts_steps=name == "steps")
-    row, col = np.divmod(np.arange(lattice.cols * lattice.rows), lattice.cols)
-    away_m = np.hypot(col - lattice.origin_col, row - lattice.origin_row) * lattice.cell_m
+    col = np.arange(lattice.cols) - lattice.origin_col
+    row = np.arange(lattice.rows) - lattice.origin_row
+    away_m = np.hypot(col, row[:, None]).reshape(-1) * lattice.cell_m
     # Ends lie around the goal, none farther off than this.
     away_m -= away_m[ends // rows + potential.cell_offsets(lattice.cols)[ends % rows]].max()
     cost_um = np.clip(np.floor(away_m * rate * MICRO), 0, NOWHERE_UM - 1).astype(np.int32)

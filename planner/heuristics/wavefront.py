@@ -12,11 +12,13 @@ from planner.collision import Terrain, clearance_at, point_clearance
 from planner.compiled import njit_arrays, njit_no_refcount, with_room
 from planner.heuristics.potential import MOVES, Potential
 from planner.lattice.lattice import Int64s, Lattice, out_of_frame
+from planner.time_limit import check_time
 
 NOWHERE_UM = 1 << 30
 SHUT_CELL = -1  # cost 0 means not reached, so costs are stored one micrometre up
 NO_CELLS = np.zeros(0, np.int64)
 _RIM = 2  # cells at the edge of the lattice where no body is
+_CLOCK_CELLS = 1 << 15  # entered in the queue between two looks at the clock
 
 
 class StraightCost(NamedTuple):
@@ -100,7 +102,6 @@ def straight_to(lattice: Lattice, potential: Potential, cells: Int64s) -> Straig
     return ahead._replace(slack_um=int(all_straight_um(ahead, lattice.cols, cells).max()))
 
 
-@njit_arrays
 def propagate(
     lattice: Lattice,
     cost_um: NDArray[np.int32],
@@ -118,19 +119,19 @@ def propagate(
     covers the map. In one bucket cells are expanded in any order.
 
     Returns NOWHERE_UM once no cell is left; else a lower bound on cost + ahead of all cells that
-    were not expanded.
+    were not expanded. Raises OutOfTime where a limit passes on the way.
     """
     queue = _queue_seeds(lattice, cost_um, seeds, seed_um, moves, ahead)
     while not _expand(lattice, cost_um, moves, wanted, beyond_um, ahead, queue):
+        check_time()
         used = len(queue.cells)
-        queue = Queue(
-            queue.head,
-            with_room(queue.cells, used, 1),
-            with_room(queue.costs, used, 1),
-            with_room(queue.after, used, 1),
-            queue.at,
-        )
-    return NOWHERE_UM if queue.at[WAITING] == 0 else queue.at[BUCKET] << queue.at[SHIFT]
+        if queue.at[USED] > used - len(moves.cost_um):
+            queue = queue._replace(
+                cells=with_room(queue.cells, used, 1),
+                costs=with_room(queue.costs, used, 1),
+                after=with_room(queue.after, used, 1),
+            )
+    return NOWHERE_UM if queue.at[WAITING] == 0 else int(queue.at[BUCKET] << queue.at[SHIFT])
 
 
 @njit_no_refcount
@@ -143,7 +144,10 @@ def _expand(
     ahead: StraightCost,
     queue: Queue,
 ) -> bool:
-    """As `propagate` from what is in the queue; whether it came to the end within its room."""
+    """As `propagate` from what is in the queue; whether it came to the end.
+
+    It stops where the queue is full, and after so many cells that the clock is to be looked at.
+    """
     # In local names: taken from the tuples in the loop they cost more than the loop itself.
     around, move_um, reach_m = moves.around, moves.cost_um, moves.reach_m
     head, cells, costs, after, at = queue.head, queue.cells, queue.costs, queue.after, queue.at
@@ -151,6 +155,7 @@ def _expand(
     clearance_m, size_m = lattice.terrain.clearance_m, lattice.terrain.resolution_m
     plane = lattice.frame, lattice.cell_m, lattice.origin_col, lattice.origin_row
     used, waiting, room = at[USED], at[WAITING], len(cells) - len(move_um)
+    room = min(room, used + _CLOCK_CELLS)
     while waiting > 0:
         if 0 <= at[LAST] < bucket:
             break

@@ -31,6 +31,7 @@ from planner.refinement.cost import (
 )
 from planner.refinement.interior_point import relax
 from planner.search.problem import Request, Result
+from planner.time_limit import is_late
 
 FloatArray = NDArray[np.float64]
 _ITERATIONS = 12  # of one attempt; nearly all that succeed need fewer
@@ -50,7 +51,7 @@ class _FootPath(NamedTuple):
 def refine(request: Request, result: Result) -> Result:
     """The result of a search with its steps moved, and perhaps fewer, at a lower cost.
 
-    The same result where nothing cheaper is found.
+    The same result where nothing cheaper is found. Ends early where a limit on the time passes.
     """
     lattice, model = request.lattice, request.model
     if len(result.side) <= 2:
@@ -97,12 +98,13 @@ def _shorten(problem: RefinementProblem, found: _FootPath, swaps: tuple[bool, ..
     while fewer > 0:
         before, steps = best, len(best.poses) - 1 - fewer
         for swap in swaps:
-            if steps >= 2 and best is before:
+            if steps >= 2 and best is before and not is_late():
                 best = _relaxed(problem, before, steps, swap, _ITERATIONS, before.cost_um)
         if best is before:
             fewer = 1 if fewer > 1 else 0
     for swap in swaps:
-        best = _relaxed(problem, best, len(best.poses) - 1, swap, _LAST_ITERATIONS, 0)
+        if not is_late():
+            best = _relaxed(problem, best, len(best.poses) - 1, swap, _LAST_ITERATIONS, 0)
     return best
 
 

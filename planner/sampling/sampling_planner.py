@@ -6,6 +6,7 @@ frame. The steps are told in docs/notes/planner_design.md.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from dataclasses import dataclass, replace
@@ -52,6 +53,7 @@ from planner.search.problem import (
 )
 from planner.search.reachability import Floods
 from planner.search.shut_passages import is_shut
+from planner.time_limit import OutOfTime, check_time, is_late, time_left_s
 
 FloatArray = NDArray[np.float64]
 _GAP_EXPANSIONS = 20_000
@@ -63,6 +65,7 @@ _GAPS = ((8, 24), (24, 60), (60, 140))
 _CORRIDORS_M = (0.5, 2.0)
 _FLOOD_NODES = 1 << 17  # of each flood
 _NEAR_M = 0.5  # how far from the start the body's path may begin
+_PATH_SHARE = 0.5  # of the time that is left: steps along the path take time too
 _FIRST_ITERATIONS = 2_000  # before the lattice is asked whether there is any way
 
 
@@ -151,12 +154,6 @@ class GridRequest:
     stance: Stance
     goal: FloatArray
 
-    @property
-    def is_late(self) -> bool:
-        """Whether the time limit is reached."""
-        limit_s = self.options.time_limit_s
-        return limit_s is not None and time.perf_counter() - self.began >= limit_s
-
     def cost_um(self, steps: Footsteps) -> int:
         """Cost of steps from the stance to the goal."""
         return cost_of(self.request.lattice, self.request.model, self.stance, steps)
@@ -180,6 +177,7 @@ def follow_path(query: GridRequest, path: FloatArray) -> Footsteps | None:
     request, stance = query.request, query.stance
     walked, at = NO_STEPS, 0
     while True:
+        check_time()
         along = PathFootsteps(request.lattice, request.model, path[at:], stance)
         rest = along.to_end()
         if rest is not None:
@@ -203,8 +201,7 @@ def _bridge_gap(
     model, terrain = query.request.model, query.request.lattice.terrain
     options = replace(query.options, name="ara", stop_at_first=True, max_expansions=_GAP_EXPANSIONS)
     for back, on in _GAPS:
-        if query.is_late:
-            break
+        check_time()
         left_at, lead = along.to_point(along.end - back)
         reached = min(max(along.end, 0) + on, len(path) - 1)
         leaving = lead.stance_after(stance, model.body_margin_m)
@@ -227,7 +224,7 @@ def search_corridor(query: GridRequest, path: FloatArray) -> tuple[Footsteps | N
             window, request.model, query.stance, query.goal, options, query.began
         )
         expansions += result.expansions
-        if steps is not None or query.is_late:
+        if steps is not None or is_late():
             break
     return steps, expansions
 
@@ -250,7 +247,9 @@ def plan_by_sampling(request: Request, options: PlannerOptions, began: float) ->
     if steps is not None:
         first_s = time.perf_counter() - began
     if steps is None or not options.stop_at_first:
-        found, searched = search_corridor(query, path)
+        found = None
+        with contextlib.suppress(OutOfTime):
+            found, searched = search_corridor(query, path)
         if found is not None and (steps is None or query.cost_um(found) < query.cost_um(steps)):
             first_s = min(first_s, time.perf_counter() - began)
             steps = found
@@ -278,10 +277,10 @@ def _find_path(query: GridRequest, most: int) -> SampledPath:
     if start is None:
         return SampledPath(corners=np.zeros((0, 3)), iterations=0)
     effort = EFFORTS[options.name]
-    limit_s = options.time_limit_s
+    left_s = time_left_s()
     effort = effort._replace(
         most=min(effort.most, options.max_expansions, most),
-        until_s=None if limit_s is None else query.began + limit_s,
+        until_s=None if left_s == math.inf else time.perf_counter() + _PATH_SHARE * left_s,
     )
     body = BodyQuery(terrain=terrain, outline=outline, start=start, goal=query.goal)
     return find_path(options.name, body, effort, options.seed)
@@ -298,7 +297,7 @@ def _no_plan(query: GridRequest, sampled: SampledPath) -> Result:
         return failure(PlanStatus.NO_PATH, floods.reason, sampled.iterations)
     name = query.options.name
     limit = f"{sampled.iterations} iterations"
-    if query.is_late:
+    if is_late():
         limit = f"{query.options.time_limit_s:g} s"
     what = "no path of the body"
     if len(sampled.corners):

@@ -60,6 +60,7 @@ from planner.search.problem import (
     result_of,
     with_longer_queue,
 )
+from planner.time_limit import OutOfTime
 
 _NAME = "adstar"
 _MOST_ITERATIONS = 100  # their numbers are 7 bit
@@ -69,18 +70,31 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
     """Plans from the tree in the context's memory, and searches only where it must."""
     if not request.has_first_step:
         return no_first_step(request)
-    memory, expansions, bound_um = request.context.memory, 0, 0
+    memory = request.context.memory
     kept = memory.get(_NAME)
     is_first = kept is None
     if kept is None:
         kept = memory[_NAME] = ReusableTree(request)
+    kept.move_start(request)
+    try:
+        return _improved(request, options, began, kept, is_first)
+    except OutOfTime:
+        if kept.tree.best_um == NO_COST:
+            raise
+        return _known(request, began, kept, kept.bound_um(request.lattice), 0)
+
+
+def _improved(
+    request: Request, options: PlannerOptions, began: float, kept: ReusableTree, is_first: bool
+) -> Result:
+    """The plan in the tree, or a better one if that is wanted and there is one."""
+    expansions, bound_um = 0, 0
     prove_all = is_first or options.improve_expansions is None
     wanted = options.final_epsilon if prove_all else options.epsilon
-    kept.move_start(request)
     if kept.tree.best_um == NO_COST or kept.may_be_shorter:
         # Over freed ground there may be quite another way, of which the tree knows nothing.
-        kept.may_be_shorter = False
         first = find_first_plan(request, options)
+        kept.may_be_shorter = False
         if first is CUT_OFF:
             return no_body_path()
         if first is not None:
@@ -94,19 +108,26 @@ def plan_adstar(request: Request, options: PlannerOptions, began: float) -> Resu
         for least_um in itertools.chain([bound_um], kept.bounds(request)):
             bound_um = max(bound_um, least_um)
             if is_enough or kept.tree.best_um <= wanted * bound_um:
-                return result_of(
-                    request,
-                    best_nodes(kept.tree),
-                    cost_um=kept.tree.best_um,
-                    epsilon=proven_ratio(kept.tree.best_um, bound_um),
-                    expansions=expansions,
-                    time_to_first_s=time.perf_counter() - began,
-                )
+                return _known(request, began, kept, bound_um, expansions)
     search = AraStar(request, replace(options, final_epsilon=wanted), began)
     search.note_known_plan(kept.tree.best_um, bound_um, expansions)
     result = search.run(kept.task(request, wanted), kept.tree)
     kept.tree, kept.open_bound_um = search.tree, search.open_bound_um
     return result
+
+
+def _known(
+    request: Request, began: float, kept: ReusableTree, bound_um: int, expansions: int
+) -> Result:
+    """The plan in the tree, which there must be."""
+    return result_of(
+        request,
+        best_nodes(kept.tree),
+        cost_um=kept.tree.best_um,
+        epsilon=proven_ratio(kept.tree.best_um, bound_um),
+        expansions=expansions,
+        time_to_first_s=time.perf_counter() - began,
+    )
 
 
 class ReusableTree:

@@ -6,6 +6,7 @@ A search without a plan alternates with a reachability search, which may prove t
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
 from collections.abc import Callable
@@ -30,10 +31,12 @@ from planner.search.best_first import (
     NO_COST,
     OUT_OF_ENTRIES,
     SHIFT,
+    USED,
     Tree,
     expand,
     start_iteration,
 )
+from planner.search.first_part import first_part
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan, is_cut_off
 from planner.search.problem import (
     Request,
@@ -51,9 +54,11 @@ from planner.search.problem import (
 from planner.search.reachability import Floods, Verdict
 from planner.search.search_record import Moment, search_record
 from planner.search.shut_passages import is_shut
+from planner.time_limit import OutOfTime, is_late
 
 _FIRST = -1  # in place of a node: the best plan is the one that was found before this search
-_CLOCK_EXPANSIONS = 4096  # expansions between two looks at the clock
+_CLOCK_EXPANSIONS = 2048  # expansions between two looks at the clock
+_QUICK_ENTRIES = 1 << 15  # of an open list that is looked through though it is late
 # After FLOOD_AFTER expansions without a plan the search alternates with the floods: SEARCH_TURN
 # expansions, then FLOOD_TURN nodes of each flood, which double up to FLOOD_TURN_MOST, because the
 # longer there is no plan the likelier there is none.
@@ -172,8 +177,12 @@ class AraStar:
 
     def _tighten_bound(self) -> None:
         """Takes the bound of the open states after an iteration that was cut short."""
-        if self.proven > 1.0:
+        if self.proven <= 1.0:
+            return
+        if self.tree.scalars[USED] <= _QUICK_ENTRIES or not is_late():
             self._reorder_open(1.0)
+        elif self.request.context.region.is_point:
+            self._raise_bound(self.request.straight_bound())
 
     def _tighten_on_the_way(self, epsilon: float) -> None:
         """Takes the lower edge of the first bucket as a bound: with epsilon 1 it is one."""
@@ -193,12 +202,14 @@ class AraStar:
         if self._may_be_enclosed() and self._expansions >= FLOOD_AFTER:
             task = self.task
             if self._floods is None:
-                self._is_shut = is_shut(self.request)
+                with contextlib.suppress(OutOfTime):
+                    self._is_shut = is_shut(self.request)
                 if self._is_shut:
                     return True
                 ends = (task.goals, task.roots) if task.is_backward else (task.roots, task.goals)
                 self._floods = Floods(task.lattice, *ends)
-            self._floods.expand(self._flood_turn)
+            with contextlib.suppress(OutOfTime):
+                self._floods.expand(self._flood_turn)
             self._flood_turn = min(2 * self._flood_turn, FLOOD_TURN_MOST)
         return self._floods is not None and bool(self._floods.reason)
 
@@ -228,10 +239,7 @@ class AraStar:
         """The limit that ended the search, in words; empty if none did."""
         if self._expansions >= self.options.max_expansions:
             return f"{self.options.max_expansions} expansions"
-        limit_s = self.options.time_limit_s
-        if limit_s is not None and time.perf_counter() - self.began >= limit_s:
-            return f"{limit_s:g} s"
-        return ""
+        return f"{self.options.time_limit_s:g} s" if is_late() else ""
 
     @property
     def _best_um(self) -> int:
@@ -265,7 +273,10 @@ class AraStar:
                 f"no plan found within {self._limit_reached()}; "
                 f"any plan costs at least {self.lower_bound_um / MICRO:.2f} m"
             )
-            return failure(PlanStatus.TIMED_OUT, reason, expansions)
+            without = failure(PlanStatus.TIMED_OUT, reason, expansions)
+            if self.options.partial and not self.task.is_backward:
+                return first_part(self.request, self.task, self.tree, without)
+            return without
         reason = (
             "the goal cannot be reached: all poses that steps lead to were searched "
             f"({expansions} expansions)"
@@ -325,11 +336,16 @@ def improved(search: AraStar, first: FirstPlan | None) -> Result:
     """A first plan, if it is good enough, or what the search makes of it."""
     if first is CUT_OFF:
         return no_body_path()
-    if first is not None:
-        search.start_with(first)
-        if search.options.stop_at_first or search.proven <= search.options.final_epsilon:
-            return search.first_result()
-    return search.run(forward_task(search.request))
+    if first is None:
+        return search.run(forward_task(search.request))
+    search.start_with(first)
+    if search.options.stop_at_first or search.proven <= search.options.final_epsilon:
+        return search.first_result()
+    try:
+        task = forward_task(search.request)
+    except OutOfTime:
+        return search.first_result()
+    return search.run(task)
 
 
 def plan_astar(request: Request, options: PlannerOptions, began: float) -> Result:
@@ -403,8 +419,9 @@ def _plan_on_coarse_lattice(
         search = AraStar(coarse, limited, began)
         if first is not None:
             search.start_with(first)
-        search.run(forward_task(coarse))
-        first = search.best()
+        with contextlib.suppress(OutOfTime):
+            search.run(forward_task(coarse))
+            first = search.best()
     if first is None:
         return None
     return replace(

@@ -17,10 +17,12 @@ from planner.compiled import njit_no_refcount
 from planner.lattice.lattice import Floats
 from planner.plan import NarrowPlace
 from planner.robot_model import StepModel
+from planner.time_limit import check_time
 
 Cells = NDArray[np.int64]
 
 _BISECTIONS = 12
+_LABEL_S = 1e-8  # that a cell takes, about, where parts of the field are told apart
 _ANGLES, _RAY_M, _RAY_STEP_M = 64, 3.0, 1e-3
 
 
@@ -98,6 +100,7 @@ def is_way(
     clearance_m: NDArray[np.float32], radius_m: float, start: tuple[int, ...], goal: tuple[int, ...]
 ) -> bool:
     """Whether a way off the outermost cells keeps more than a clearance between two cells."""
+    check_time(_LABEL_S * clearance_m.size)
     inner = np.full_like(clearance_m, -np.inf)
     inner[1:-1, 1:-1] = clearance_m[1:-1, 1:-1]
     label = components(inner, radius_m)

@@ -343,6 +343,14 @@ def failure(status: PlanStatus, reason: str, expansions: int = 0) -> Result:
     )
 
 
+def out_of_time(request: Request, limit_s: float) -> Result:
+    """The result where the time ran out before there was a plan."""
+    reason = f"no plan found within {limit_s:g} s"
+    if request.context.region.is_point and request.has_first_step:
+        reason += f"; any plan costs at least {request.straight_bound() / MICRO:.2f} m"
+    return failure(PlanStatus.TIMED_OUT, reason)
+
+
 def no_first_step(request: Request) -> Result:
     """The result where no first step is possible from where the feet stand."""
     side = "" if request.first_side is None else f" with the {request.first_side.name.lower()}"

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import heapq
 import math
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +21,13 @@ from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
 from planner.search.ara_star import AraStar, improved
-from planner.search.best_first import NO_COST, OUT_OF_ENTRIES, expand, start_iteration
+from planner.search.best_first import (
+    NO_COST,
+    OUT_OF_BUDGET,
+    OUT_OF_ENTRIES,
+    expand,
+    start_iteration,
+)
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan
 from planner.search.problem import (
     Request,
@@ -32,6 +37,7 @@ from planner.search.problem import (
     no_first_step,
     with_longer_queue,
 )
+from planner.time_limit import check_time, is_late
 
 _APART_M = 2.0  # from a state to its successors
 _SUCCESSORS = 8
@@ -39,6 +45,7 @@ _SUB_GOAL_CELLS = 2  # radius of a sub-goal
 _WEIGHT = 2.0
 _EASY, _HARD = 1_000, 10_000  # expansions of a local search, at first and once more
 _MOST_STATES = 2_000
+_CLOCK_EXPANSIONS = 2048  # expansions between two looks at the clock
 _MOST_EXPANSIONS = 5_000  # then `first_plan` takes over, which needs fewer
 _BEYOND_MOVES = 8  # by which path costs of a local search reach beyond its roots
 
@@ -70,7 +77,7 @@ def plan_rstar(request: Request, options: PlannerOptions, began: float) -> Resul
     """A first plan by sub-goals, then the search of `plan_ara` until the options are met."""
     if not request.has_first_step:
         return no_first_step(request)
-    sparse = SparseSearch(request, options, began)
+    sparse = SparseSearch(request, options)
     first = sparse.plan()
     if first is None:
         first = find_first_plan(request, options)
@@ -82,8 +89,8 @@ def plan_rstar(request: Request, options: PlannerOptions, began: float) -> Resul
 class SparseSearch:
     """The search of the sparse graph from the first steps."""
 
-    def __init__(self, request: Request, options: PlannerOptions, began: float) -> None:
-        self.request, self.options, self.began = request, options, began
+    def __init__(self, request: Request, options: PlannerOptions) -> None:
+        self.request, self.options = request, options
         self.expansions = 0
         self._rng = np.random.default_rng(options.seed)
         self._states: list[_State] = []
@@ -110,10 +117,8 @@ class SparseSearch:
         return None
 
     def _limit_reached(self) -> bool:
-        limit_s = self.options.time_limit_s
-        is_late = limit_s is not None and time.perf_counter() - self.began >= limit_s
         most = min(_MOST_EXPANSIONS, self.options.max_expansions)
-        return is_late or self.expansions >= most or len(self._states) >= _MOST_STATES
+        return is_late() or self.expansions >= most or len(self._states) >= _MOST_STATES
 
     def _straight_um(self, at: Int64s, to: Int64s) -> int:
         potential = self.request.context.tables.potential
@@ -163,9 +168,10 @@ class SparseSearch:
         tree = task.tree()
         start_iteration(task.lattice, task.heuristic, tree, _WEIGHT)
         outcome = OUT_OF_ENTRIES
-        while outcome == OUT_OF_ENTRIES:
-            left = budget - tree.expansions
-            outcome = expand(task.lattice, task.heuristic, tree, _WEIGHT, left)
+        while outcome in (OUT_OF_ENTRIES, OUT_OF_BUDGET) and tree.expansions < budget:
+            check_time()
+            chunk = min(_CLOCK_EXPANSIONS, budget - tree.expansions)
+            outcome = expand(task.lattice, task.heuristic, tree, _WEIGHT, chunk)
             if outcome == OUT_OF_ENTRIES:
                 tree = with_longer_queue(tree)
         self.expansions += tree.expansions

@@ -27,6 +27,7 @@ from planner.lattice.lattice import (
     reversed_steps,
     step_climbs,
 )
+from planner.time_limit import check_time
 
 FORWARD, BACKWARD = 1, 2
 _CHUNK = 1 << 12  # nodes of one flood before it is the other's turn
@@ -59,8 +60,12 @@ class Floods:
         self.verdict = Verdict.MET if has_met else Verdict.OPEN
 
     def expand(self, budget: int) -> Verdict:
-        """Expands so many nodes of each flood while the verdict is open; the verdict."""
+        """Expands so many nodes of each flood while the verdict is open; the verdict.
+
+        Raises OutOfTime where a limit passes on the way.
+        """
         for done in range(0, budget, _CHUNK):
+            check_time()
             chunk = min(_CHUNK, budget - done)
             most = chunk * self._lattice.steps.shape[1]
             self._forward = with_room(self._forward, int(self._ends[0]), most)

@@ -31,11 +31,13 @@ from planner.search.passages import (
 )
 from planner.search.problem import Request
 from planner.search.reachability import BACKWARD, FORWARD, flood, nodes_free
+from planner.time_limit import check_time
 
 # The flood covers what lies nearer to the places than _AROUND_M. It begins with all poses that are
 # farther than _BEFORE_M on the near side, and has passed when it comes as far as _BEHIND_M.
 _AROUND_M, _BEFORE_M, _BEHIND_M = 1.0, 0.5, 0.35
 _MOST_PLACES = 6
+_CHUNK = 1 << 12  # nodes that the flood expands between two looks at the clock
 _NARROW = 2.0  # passages up to so many times as wide as the robot needs are looked at
 _OUTSIDE, _BESIDE, _START, _PASSED = range(4)
 
@@ -154,7 +156,11 @@ def _leads_through(request: Request, zones: _Zones) -> bool:
     stack = np.empty(len(zones.cells) * rows + len(seeds), np.int32)
     stack[: len(seeds)] = seeds
     ends = np.array([len(seeds), len(seeds)])
-    return flood(lattice, seen, stack, lattice.steps, FORWARD, ends, 0, len(stack))
+    while ends[0] > 0:
+        check_time()
+        if flood(lattice, seen, stack, lattice.steps, FORWARD, ends, 0, _CHUNK):
+            return True
+    return False
 
 
 def _cells_around(
