@@ -21,12 +21,9 @@ from controller.walker import Walker
 from planner.robot_model import Side, StepLimits
 from sim.robot import GRAVITY_M_S2
 
-# In shares of half a sole: how far out the centre of pressure must have to be for a change, how far
-# out the ankles are asked to bring it then, and how far out on a foot the capture point may lie at
-# touch-down. In 60 undisturbed walks through a room JVRC-1 needed 0.67 of the first at most, HRP-5P
-# 0.9 in 99 % of its swings, both after the first moments, in which the pressure still moves from
-# one foot to the other.
-MOST_PRESSURE_SHARE = 1.1
+# In shares of half a sole: how far out the ankles are asked to bring the centre of pressure where a
+# step changes, and how far out on a foot the capture point may lie at touch-down. Just after
+# lift-off the pressure still moves from one foot to the other.
 PRESSURE_SHARE = 0.75
 CAPTURE_SHARE = 0.5
 FIRST_MOMENTS_S = 0.05
@@ -86,7 +83,7 @@ def step_change(walker: Walker) -> StepChange:
 
     swing_ticks = cursor.ticks.swing
     growth = np.exp(omega * (swing_ticks - cursor.tick) * CONTROL_PERIOD_S)
-    missing = _missing_m(capture, step, growth, half_m, MOST_PRESSURE_SHARE)
+    missing = _missing_m(capture, step, growth, half_m, robot.steady_pressure_share)
     needed = cursor.swinging & (cursor.tick >= round(FIRST_MOMENTS_S / CONTROL_PERIOD_S))
     needed &= np.abs(missing).max(axis=1) > LEAST_M
     most_growth = _most_growth(capture, limits, half_m)

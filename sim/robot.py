@@ -118,7 +118,9 @@ class Robot:
     the extra of this project that installs it, where that is not always installed.
     `training_limits` are the step limits to train on; they may be wider than those of plans, so
     that what is planned lies well inside what was learned. None for the same. How far they let a
-    step rise is the highest stair that `train` takes.
+    step rise is the highest stair that `train` takes. `steady_pressure_share` is above how far
+    out, in shares of half a sole, the centre of pressure has to be in walks that nothing disturbs;
+    beyond it a step changes (`controller/recovery.py`).
     """
 
     name: str
@@ -135,6 +137,7 @@ class Robot:
     add_meshes: Callable[[mujoco.MjSpec], None] | None = None
     needs: tuple[str, str] | None = None
     training_limits: StepLimits | None = None
+    steady_pressure_share: float = 1.1
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {self.mass_kg:.0f} kg, {len(self.joints)} leg joints)"

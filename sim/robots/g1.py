@@ -84,4 +84,6 @@ ROBOT = _MODEL.robot(
     height_m=1.32,
     pelvis_height_m=0.757,
     fallen_height_m=0.56,
+    # In walks through a room its small soles need 1.6 at most; JVRC-1 needs 0.67, HRP-5P 0.9.
+    steady_pressure_share=1.7,
 )
