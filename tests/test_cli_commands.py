@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import app.commands.trials
 from app.cli import main
 from app.navigation.report import NavigationReport, Outcome
 from app.options import Reach, parse_reach
@@ -211,6 +212,33 @@ def test_trials_give_the_same_results_whatever_the_workers(tmp_path, capsys):
         results.append([{**trial, "planning_time_s": None} for trial in trials])
     assert results[0] == results[1]
     assert len(results[0]) == 2
+
+
+def test_trials_go_on_where_they_were_stopped(tmp_path, capsys, monkeypatch):
+    words = ["trials", "--map", ROOM, "--apart", "0.2", "--seed", "5", "--workers", "1"]
+    words += ["--out", str(tmp_path)]
+    assert main([*words, "--count", "1"]) == ExitCode.DONE
+    first = json.loads((tmp_path / "trials.json").read_text())["trials"]
+
+    def stopped(walk, trials, workers):
+        assert [trial.number for trial in trials] == [1, 2]
+        yield walk(trials[0])
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(app.commands.trials, "in_order", stopped)
+        assert main([*words, "--count", "3", "--resume"]) == ExitCode.INTERRUPTED
+    assert "2 of 3 walks are in" in capsys.readouterr().err
+    document = json.loads((tmp_path / "trials.json").read_text())
+    assert document["summary"]["walks"] == 2
+    assert document["trials"][0] == first[0]
+    # All that is asked for is there, so nobody walks.
+    assert main([*words, "--count", "2", "--resume"]) == ExitCode.DONE
+    assert json.loads((tmp_path / "trials.json").read_text())["trials"] == document["trials"]
+    told = refusal(capsys, *words, "--count", "3", "--resume", "--pace", "fast")
+    assert "have another pace" in told
+    (tmp_path / "trials.json").write_text("[]")
+    assert "holds no trials to go on with" in refusal(capsys, *words, "--resume")
 
 
 @pytest.mark.parametrize("command", ["evaluate", "trials"])

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import functools
+import hashlib
+import json
 import math
+import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -26,12 +29,16 @@ from app.options import (
     number,
     read_grid,
 )
-from app.output import ExitCode, InputError, ProgressBar, make_folder, to_json, write_text
+from app.output import ExitCode, InputError, ProgressBar, make_folder, say, to_json, write_text
 from app.workers import compile_planner, in_order
+from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.plan import feet_at
+from sim.robot import Robot
 
 FORMAT = "navigation-trials/1"
+TRIALS = "trials.json"
+WRITTEN_EVERY_S = 5.0
 Pose = tuple[float, float, float]
 DRAWS_PER_POSE = 10_000
 
@@ -62,6 +69,9 @@ class TrialsOptions(PlanningOptions):
     out: FolderOption = Path("runs/trials")
     """Folder for trials.json, such as runs/trials; made when missing."""
 
+    resume: bool = False
+    """Go on with the trials in the folder: what they have walked is not walked again."""
+
     json: bool = False
     """Print trials.json on standard output, and nothing else there."""
 
@@ -79,28 +89,87 @@ class Trial:
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
     grid = read_grid(options)
-    robot, _ = load_walker(options.robot, options.policy, options.pace)
+    robot, policy = load_walker(options.robot, options.policy, options.pace)
     make_folder(options.out, option="--out")
+    file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy)
+    results = finished(file, settings)[: options.count] if options.resume else []
     trials = draw_trials(grid, options)
     compile_planner(robot.step_model, options.planner_options())  # once, not in every worker
-    results = []
-    with ProgressBar("walks", len(trials)) as bar:
-        walk = functools.partial(walk_one, grid, options)
-        for result in in_order(walk, trials, options.workers):
-            results.append(result)
-            bar.update(len(results), f"{sum(r['outcome'] == 'reached' for r in results)} reached")
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "map": str(options.map),
-        "robot": robot.name,
-        "seed": options.seed,
-        "versions": installed_versions(),
-        "summary": summarise(results),
-        "trials": results,
-    }
-    write_text(options.out / "trials.json", to_json(document))
+
+    def written() -> dict[str, Any]:
+        """What trials.json holds now."""
+        document = {
+            "format": FORMAT,
+            "map": str(options.map),
+            "robot": robot.name,
+            "seed": options.seed,
+            "settings": settings,
+            "versions": installed_versions(),
+            "summary": summarise(results),
+            "trials": results,
+        }
+        write_text(file, to_json(document))
+        return document
+
+    written_s = time.monotonic()
+    try:
+        with ProgressBar("walks", len(trials)) as bar:
+            walk = functools.partial(walk_one, grid, options)
+            for result in in_order(walk, trials[len(results) :], options.workers):
+                results.append(result)
+                reached = sum(r["outcome"] == "reached" for r in results)
+                bar.update(len(results), f"{reached} reached")
+                if time.monotonic() - written_s > WRITTEN_EVERY_S:
+                    written()
+                    written_s = time.monotonic()
+    except KeyboardInterrupt:
+        if results:
+            written()
+            say(f"{len(results)} of {len(trials)} walks are in {file}; --resume goes on with them")
+        raise
+    document = written()
     print(to_json(document) if options.json else table(document["summary"]) + "\n", end="")
     return ExitCode.DONE
+
+
+def settings_of(
+    options: TrialsOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
+) -> dict[str, Any]:
+    """All that the walks depend on, but for how many there are."""
+    ground = hashlib.sha256(repr((grid.shape, grid.resolution_m, grid.origin)).encode())
+    ground.update(grid.cells.tobytes())
+    if grid.elevation_m is not None:
+        ground.update(grid.elevation_m.tobytes())
+    return {
+        "map_sha256": ground.hexdigest(),
+        "policy_sha256": policy.about["sha256"],
+        "step_model": asdict(robot.step_model),
+        "planner": asdict(options.planner_options()),
+        "apart_m": options.apart,
+        "pace": options.pace,
+        "push_n_s": options.push,
+    }
+
+
+def finished(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The walks in a file of trials, from the first one on.
+
+    Raises:
+        InputError: There is no such file, or its walks depend on something else.
+    """
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        known, trials = document["settings"], list(document["trials"])
+    except (OSError, ValueError, KeyError, TypeError):
+        raise InputError(f"--resume: {file} holds no trials to go on with") from None
+    wanted = json.loads(to_json(settings))
+    for name in wanted:
+        if known.get(name) != wanted[name]:
+            raise InputError(
+                f"--resume: the trials in {file} have another {name}; give the same options, or "
+                "another --out"
+            )
+    return trials
 
 
 def draw_trials(grid: OccupancyGrid, options: TrialsOptions) -> list[Trial]:
