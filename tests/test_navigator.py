@@ -181,6 +181,19 @@ def test_trials_are_drawn_apart_and_repeat():
         assert np.hypot(*np.subtract(trial.goal[:2], trial.start[:2])) >= 1.0
 
 
+def test_reachable_pairs_lie_on_one_side_of_a_wall():
+    grid = empty_map(6.0)
+    cells = grid.cells.copy()
+    middle = cells.shape[1] // 2
+    cells[:, middle : middle + 2] = 1
+    walled = grid.with_cells(cells)
+    x_m = float(walled.cell_to_world((0, middle))[0])
+    for reachable in (True, False):
+        trials = draw_trials(walled, trials_options(count=30, apart=1.0, reachable=reachable))
+        crossing = sum((t.start[0] < x_m) != (t.goal[0] < x_m) for t in trials)
+        assert (crossing == 0) == reachable
+
+
 def test_trials_walk_and_are_summed_up_by_outcome():
     options = trials_options(count=2, apart=0.3)
     trials = draw_trials(empty_map(4.0), options)

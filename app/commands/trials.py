@@ -57,6 +57,9 @@ class TrialsOptions(PlanningOptions):
     apart: Annotated[float, number(at_least=0.0)] = 1.5
     """Least distance in metres between start and goal, such as 1.5."""
 
+    reachable: bool = False
+    """Draw only pairs between which the robot can walk facing ahead, by the width of the way."""
+
     pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
 
@@ -146,6 +149,7 @@ def settings_of(
         "step_model": asdict(robot.step_model),
         "planner": asdict(options.planner_options()),
         "apart_m": options.apart,
+        "reachable": options.reachable,
         "pace": options.pace,
         "push_n_s": options.push,
     }
@@ -180,6 +184,7 @@ def draw_trials(grid: OccupancyGrid, options: TrialsOptions) -> list[Trial]:
     """
     from planner.collision import terrain_of
     from planner.endpoints import what_blocks
+    from planner.search.passages import components, needed_m
 
     rng = np.random.default_rng(options.seed)
     model = find_robot_with_limits(options.robot, options.policy).step_model
@@ -194,15 +199,26 @@ def draw_trials(grid: OccupancyGrid, options: TrialsOptions) -> list[Trial]:
                 return pose
         raise InputError("the robot can hardly stand anywhere on this map: there is no free pose")
 
+    part = components(terrain.clearance_m, needed_m(model) / 2) if options.reachable else None
+
+    def are_joined(start: Pose, goal: Pose) -> bool:
+        """Whether a way that is wide enough joins two poses, if that is asked for."""
+        if part is None:
+            return True
+        row, col = grid.world_to_cell([start[:2], goal[:2]]).T
+        first, last = part[row, col]
+        return bool(first == last > 0)
+
     trials: list[Trial] = []
     for seed in range(options.seed, options.seed + 1000 * options.count):
         start, goal = free_pose(), free_pose()
-        if math.dist(start[:2], goal[:2]) >= options.apart:
+        if math.dist(start[:2], goal[:2]) >= options.apart and are_joined(start, goal):
             trials.append(Trial(number=len(trials), start=start, goal=goal, seed=seed))
             if len(trials) == options.count:
                 return trials
+    joined = " that a way joins" if options.reachable else ""
     raise InputError(
-        f"--apart: free poses {options.apart:g} m apart can hardly be found on this map"
+        f"--apart: free poses {options.apart:g} m apart{joined} can hardly be found on this map"
     )
 
 
