@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from dataclasses import replace
 
@@ -15,7 +14,6 @@ from app.viewer.obstacles import Obstacle, snapped, with_obstacles
 from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, toward
 from app.viewer.scene import on_floor
-from app.viewer.server import OneThreadEvent
 from app.viewer.session import SimulationClock, Snapshot
 from maps.grid import OccupancyGrid
 
@@ -154,15 +152,3 @@ def test_serve_refuses_a_start_where_nobody_can_stand(start, words, capsys, monk
     (line,) = capsys.readouterr().err.splitlines()
     assert f"--start {start}" in line
     assert words in line
-
-
-def test_an_event_is_set_in_the_thread_of_its_loop_alone():
-    async def script():
-        event = OneThreadEvent(asyncio.get_running_loop())
-        await asyncio.to_thread(event.set)
-        assert not event.is_set()
-        waits = asyncio.ensure_future(event.wait())
-        event.set()
-        assert await waits
-
-    asyncio.run(script())

@@ -6,6 +6,8 @@ import asyncio
 import contextlib
 import io
 import socket
+from collections.abc import AsyncGenerator
+from functools import partial
 from typing import Any
 
 import viser
@@ -40,6 +42,61 @@ class OneThreadEvent(asyncio.Event):
 def make_thread_safe(buffer: Any) -> None:
     """Lets any thread write to this buffer of viser's; see OneThreadEvent."""
     buffer.message_event = OneThreadEvent(buffer.event_loop)
+
+
+def skip_superseded(buffer: Any) -> None:
+    """Lets a page that opens get what this buffer keeps without a look at what it does not.
+
+    viser looks up all messages that there ever were whenever a page opens: half a second for each
+    hour that a robot walked.
+    """
+    buffer._window_loop = partial(windows, buffer)
+
+
+async def windows(
+    buffer: Any, client_id: int, backlog_last_id: int, backlog_done_message: Any
+) -> AsyncGenerator[list[Any], None]:
+    """What one page is to be sent, piece by piece, until the buffer is closed.
+
+    All that is kept up to `backlog_last_id` comes first, then the message that says so, if there
+    is one, then what is new. A page that lags gets the latest of each kind. Nothing is sent that
+    is half of something: viser's `atomic`.
+    """
+    sent_id = -1
+    try:
+        while not buffer.done:
+            is_backlog = backlog_done_message is not None
+            last_id = backlog_last_id if is_backlog else buffer.message_counter - 1
+            window, sent_id = _after(buffer, client_id, sent_id, last_id)
+            # What everybody has seen may be thrown away.
+            buffer.generator_cursors[client_id] = sent_id
+            if is_backlog and sent_id >= last_id:
+                window.append(backlog_done_message)
+                backlog_done_message = None
+            if window:
+                yield window
+            else:
+                await buffer.message_event.wait()
+                buffer.message_event.clear()
+            if not window or sent_id == buffer.message_counter - 1:
+                await asyncio.sleep(buffer.window_duration_sec)
+    finally:
+        buffer.generator_cursors.pop(client_id, None)
+
+
+def _after(buffer: Any, client_id: int, sent_id: int, last_id: int) -> tuple[list[Any], int]:
+    """The next messages after `sent_id` that are kept, and up to which number that is all."""
+    with buffer.buffer_lock:
+        if buffer.atomic_counter:
+            return [], sent_id
+        newer = [
+            number
+            for number, message in buffer.message_from_id.items()
+            if sent_id < number <= last_id and message.excluded_self_client != client_id
+        ]
+        taken = newer[: buffer.max_window_size]
+        window = [buffer.message_from_id[number] for number in taken]
+    return window, taken[-1] if len(taken) < len(newer) else max(sent_id, last_id)
 
 
 class PageServer(viser.ViserServer):
@@ -77,6 +134,7 @@ def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
     with contextlib.redirect_stdout(io.StringIO()):
         server = PageServer(host=host, port=port, label=title, verbose=False)
     make_thread_safe(server.broadcast)
+    skip_superseded(server.broadcast)
     # Before anybody waits for the messages of a new page.
     server._websock_server.on_client_connect(
         lambda connection: make_thread_safe(connection.get_message_buffer())
