@@ -65,7 +65,7 @@ def stand(walk: Navigator, minutes: float) -> str:
     walker = walk.walker
     first = walker.soles_world()[0]
     knees = [k for k, joint in enumerate(walk.robot.joints) if "knee" in joint.name.lower()]
-    knees = knees or [3, 9]  # JVRC-1 and HRP-5P number them in the order of the leg
+    knees = knees or [3, 9]  # HRP-5P's joints are named by letters; a leg's fourth is its knee
     crept_m, torques_nm = 0.0, []
     for _ in range(round(60 * minutes / CONTROL_PERIOD_S)):
         walker.act(walk.policy.act(walker.observe()))

@@ -348,29 +348,26 @@ def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
 def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid:
     """Occupancy grid of a picture (H, W[, channels]) read with the metadata's rules."""
     grey, opaque = _grey_and_opaque(image)
-    cell_of = _cell_of_grey(metadata, int(np.iinfo(image.dtype).max))
+    full = int(np.iinfo(image.dtype).max)
+    cell_of = _cell_of_grey(metadata, full)
     cells = np.empty(grey.shape, np.uint8)
     for row in range(0, len(grey), _ROWS):  # an index takes eight bytes a pixel
         cells[row : row + _ROWS] = cell_of[grey[row : row + _ROWS]]
     if metadata.mode != "raw" and opaque is not None:
         cells[~opaque] = Cell.UNKNOWN
-    full = float(np.iinfo(image.dtype).max)
-    if metadata.mode != "raw" and not metadata.negate:
-        of_value = np.rint(np.arange(len(cell_of)) * (255.0 / full)) == UNKNOWN_GREY
-        is_read_free = of_value & (cell_of == Cell.FREE)
-        count = 0
-        if is_read_free.any():
-            values = grey[cells == Cell.FREE]
-            count = int(np.count_nonzero(is_read_free[values]))
-        if count:
-            _warn(
-                f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels "
-                f"of the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown"
-            )
+    is_unknown = np.rint(np.arange(full + 1) * (255.0 / full)) == UNKNOWN_GREY
+    count = 0
+    if np.any(is_unknown & (cell_of == Cell.FREE)):
+        count = int(np.count_nonzero(is_unknown[grey[cells == Cell.FREE]]))
+    if count and metadata.mode != "raw" and not metadata.negate:
+        _warn(
+            f"map {metadata.image}: free_thresh {metadata.free_thresh:g} reads {count} pixels of "
+            f"the usual unknown grey ({UNKNOWN_GREY}) as free; 0.196 keeps them unknown"
+        )
     if opaque is not None and metadata.mode != "raw" and not opaque.any():
         _warn(
             f"map {metadata.image}: every pixel is a little transparent at least (alpha below "
-            f"{full:.0f}), which reads as unknown; save it without transparency"
+            f"{full}), which reads as unknown; save it without transparency"
         )
     elif not np.any(cells == Cell.FREE):
         _warn(f"map {metadata.image}: no free cell at all; check negate and free_thresh")

@@ -39,7 +39,7 @@ from planner.search.passages import narrow_place
 from planner.search.problem import GoalContext, Request, Result, out_of_time
 from planner.search.r_star import plan_rstar
 from planner.search.search_record import SearchRecord
-from planner.time_limit import OutOfTime, time_left_s, until
+from planner.time_limit import OutOfTime, time_left_s, within
 from planner.verify import violations
 
 FloatArray = NDArray[np.float64]
@@ -130,8 +130,7 @@ class Planner:
         if (start is None) == (start_feet_world is None):
             raise ValueError("give either start or start_feet_world")
         began = time.perf_counter()
-        until_s = began + (self.options.time_limit_s or math.inf)
-        with on_compiling() as compiling, until(until_s):
+        with on_compiling() as compiling, within(self.options.time_limit_s or math.inf):
             plan = self._plan(goal, start, start_feet_world, first_side, began)
         self.compile_time_s += compiling.taken_s
         # What had to be compiled belongs to the first plan of a new installation only.
@@ -270,9 +269,9 @@ class Planner:
         """What the search finds in the time that it has."""
         left_s, options = time_left_s(), self.options
         keeps = options.refine or options.partial
-        kept_s = min(_KEPT_SHARE * left_s, _KEPT_S) if keeps and left_s < math.inf else 0.0
+        kept_s = min(_KEPT_SHARE * left_s, _KEPT_S) if keeps else 0.0
         try:
-            with until(time.perf_counter() + left_s - kept_s):
+            with within(left_s - kept_s):
                 result = self._backend(request, options, began)
         except OutOfTime:
             assert options.time_limit_s is not None
@@ -304,7 +303,7 @@ class Planner:
     def _refined(self, plan: FootstepPlan, request: Request, result: Result) -> FootstepPlan:
         """The refined plan; the plan itself if that is no cheaper or `violations` finds a fault."""
         plan = replace(plan, cost_before_refinement_m=plan.cost_m)
-        with until(time.perf_counter() + time_left_s() - _CHECK_S * len(plan)):
+        with within(time_left_s() - _CHECK_S * len(plan)):
             moved = refine(request, result)
         if moved is result:
             return plan
@@ -376,12 +375,12 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
         raise ValueError("poses is empty: give at least the goal")
     began = time.perf_counter()
     legs: list[FootstepPlan] = []
-    with until(began + (planner.options.time_limit_s or math.inf)):
+    with within(planner.options.time_limit_s or math.inf):
         for pose in poses:
             if legs and not legs[-1].found:
                 break
             # The legs that are still to come get as much of the time that is left.
-            with until(time.perf_counter() + time_left_s() / (len(poses) - len(legs))):
+            with within(time_left_s() / (len(poses) - len(legs))):
                 leg = _next_leg(planner, legs, pose, start)
             if legs and not leg.found:
                 leg = replace(leg, reason=f"leg {len(legs) + 1} of {len(poses)}: {leg.reason}")

@@ -16,9 +16,9 @@ class OutOfTime(Exception):
 
 
 @contextlib.contextmanager
-def until(time_s: float) -> Iterator[None]:
-    """Limits what is done inside to this time.perf_counter(), or to an earlier limit outside."""
-    token = _until_s.set(min(time_s, _until_s.get()))
+def within(time_s: float) -> Iterator[None]:
+    """Limits what is done inside to so many seconds from now, or to an earlier limit outside."""
+    token = _until_s.set(min(time.perf_counter() + time_s, _until_s.get()))
     try:
         yield
     finally:

@@ -39,6 +39,7 @@ from planner.search.best_first import (
 from planner.search.first_part import first_part
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan, is_cut_off
 from planner.search.problem import (
+    CLOCK_EXPANSIONS,
     Request,
     Result,
     SearchTask,
@@ -57,7 +58,6 @@ from planner.search.shut_passages import is_shut
 from planner.time_limit import OutOfTime, is_late
 
 _FIRST = -1  # in place of a node: the best plan is the one that was found before this search
-_CLOCK_EXPANSIONS = 2048  # expansions between two looks at the clock
 _QUICK_ENTRIES = 1 << 15  # of an open list that is looked through though it is late
 # After FLOOD_AFTER expansions without a plan the search alternates with the floods: SEARCH_TURN
 # expansions, then FLOOD_TURN nodes of each flood, which double up to FLOOD_TURN_MOST, because the
@@ -221,7 +221,7 @@ class AraStar:
         """Expansions until one of the limits is to be checked again."""
         budget = self.options.max_expansions - self._expansions
         if self.options.time_limit_s:
-            budget = min(budget, _CLOCK_EXPANSIONS)
+            budget = min(budget, CLOCK_EXPANSIONS)
         if self._may_be_enclosed():
             budget = min(budget, max(SEARCH_TURN, FLOOD_AFTER - self._expansions))
         return max(0, min(budget, self._left_to_improve()))

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
 
 import numpy as np
 
-from planner.compiled import BITS, njit_no_refcount
+from planner.compiled import BITS, njit_no_refcount, slot_of
 from planner.heuristics.heuristic import Heuristic, estimate, simpler_heuristic
 from planner.lattice.goal_region import may_end_at
 from planner.lattice.lattice import Lattice
 from planner.lattice.steps import final_cost_um
 from planner.plan import PlanStatus
-from planner.search.best_first import NO_COST, OUT_OF_BUDGET, Tree, expand, start_iteration
-from planner.search.problem import Request, Result, SearchTask, best_nodes, result_of, trace
-from planner.time_limit import is_late
+from planner.search.best_first import NO_COST, Tree, start_iteration
+from planner.search.problem import (
+    Request,
+    Result,
+    SearchTask,
+    best_nodes,
+    expand_up_to,
+    result_of,
+    trace,
+)
+from planner.time_limit import OutOfTime
 
 _WEIGHT, _EXPANSIONS, _CHUNK = 3.0, 2_000, 250
 
@@ -50,11 +59,8 @@ def soon_found(request: Request, without: Result) -> Result:
     )
     tree = task.tree()
     start_iteration(lattice, task.heuristic, tree, _WEIGHT)
-    outcome = OUT_OF_BUDGET
-    while outcome == OUT_OF_BUDGET and tree.expansions < _EXPANSIONS:
-        outcome = expand(lattice, task.heuristic, tree, _WEIGHT, _CHUNK)
-        if is_late():
-            break
+    with contextlib.suppress(OutOfTime):
+        expand_up_to(task, tree, _WEIGHT, _EXPANSIONS, _CHUNK)
     if tree.best_um == NO_COST:
         return first_part(request, task, tree, without)
     return result_of(
@@ -71,16 +77,12 @@ def _with_steps(request: Request, tree: Tree, node: int, without: Result) -> Res
     found = result_of(
         request,
         trace(tree, node),
-        cost_um=int(tree.cost_um[_slot(tree, node)]) + final_cost_um(request.model),
+        cost_um=int(tree.cost_um[slot_of(tree.slots, node)]) + final_cost_um(request.model),
         epsilon=math.inf,
         expansions=without.expansions,
         time_to_first_s=0.0,
     )
     return replace(found, status=PlanStatus.TIMED_OUT, reason=without.reason)
-
-
-def _slot(tree: Tree, node: int) -> int:
-    return int(tree.slots.of_block[node >> BITS]) << BITS | node & ((1 << BITS) - 1)
 
 
 @njit_no_refcount

@@ -26,22 +26,18 @@ from planner.options import PlannerOptions
 from planner.search.best_first import (
     NO_BINS,
     NO_COST,
-    OUT_OF_BUDGET,
-    Tree,
-    expand,
     new_bins,
     start_iteration,
 )
-from planner.search.problem import Request, SearchTask, best_nodes
+from planner.search.problem import Request, SearchTask, best_nodes, expand_up_to
 from planner.search.shut_passages import shut_passages
-from planner.time_limit import OutOfTime, check_time
+from planner.time_limit import OutOfTime
 
 # Weights on the heuristic, most expansions with each, and whether states are binned.
 _TRIES = (2.0, 1500, True), (3.0, 1500, True), (3.0, 12000, False)
 # A plan of more than so many times the bound is compared with one along the path of the bound.
 _FAR_ABOVE = 1.5
 _SECOND = ((2.0, 250, True),)
-_CLOCK_EXPANSIONS = 2048  # expansions between two looks at the clock
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,7 +152,7 @@ def _plan_along(
         tree = task.tree()._replace(bins=bins)
         weight = max(options.epsilon, epsilon)
         start_iteration(task.lattice, task.heuristic, tree, weight)
-        _expand_up_to(task, tree, weight, min(budget, options.max_expansions - expansions))
+        expand_up_to(task, tree, weight, min(budget, options.max_expansions - expansions))
         expansions += tree.expansions
         if tree.best_um < NO_COST:
             found = replace(so_far, nodes=best_nodes(tree), cost_um=tree.best_um)
@@ -164,15 +160,6 @@ def _plan_along(
                 found = so_far
             return replace(found, expansions=expansions)
     return replace(so_far, expansions=expansions)
-
-
-def _expand_up_to(task: SearchTask, tree: Tree, weight: float, budget: int) -> None:
-    """Expands states until there is a plan or the budget is spent, with an eye on the clock."""
-    outcome = OUT_OF_BUDGET
-    while outcome == OUT_OF_BUDGET and tree.expansions < budget:
-        check_time()
-        chunk = min(_CLOCK_EXPANSIONS, budget - tree.expansions)
-        outcome = expand(task.lattice, task.heuristic, tree, weight, chunk)
 
 
 def _task_in(request: Request, strip: Strip) -> SearchTask:

@@ -42,14 +42,18 @@ from planner.search.best_first import (
     BUCKETS,
     NO_BINS,
     NO_COST,
+    OUT_OF_BUDGET,
     ROOT,
     SCALARS,
     Tree,
+    expand,
     insert_roots,
 )
 from planner.search.search_record import SearchRecord
+from planner.time_limit import check_time
 
 FloatArray = NDArray[np.float64]
+CLOCK_EXPANSIONS = 2048  # expansions between two looks at the clock
 _ENTRIES = 1 << 16  # of a new queue, which doubles when it is full
 
 
@@ -224,6 +228,21 @@ def new_tree(lattice: Lattice, is_backward: bool) -> Tree:
         scalars=scalars,
         bins=NO_BINS,
     )
+
+
+def expand_up_to(
+    task: SearchTask, tree: Tree, epsilon: float, most: int, chunk: int = CLOCK_EXPANSIONS
+) -> int:
+    """Expands states of a tree until it has `most` or `expand` ends; what that gave back last.
+
+    Raises OutOfTime where a limit passes on the way.
+    """
+    outcome = OUT_OF_BUDGET
+    while outcome == OUT_OF_BUDGET and tree.expansions < most:
+        check_time()
+        budget = min(chunk, most - tree.expansions)
+        outcome = expand(task.lattice, task.heuristic, tree, epsilon, budget)
+    return outcome
 
 
 def with_longer_queue(tree: Tree) -> Tree:

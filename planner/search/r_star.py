@@ -21,23 +21,18 @@ from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
 from planner.search.ara_star import AraStar, improved
-from planner.search.best_first import (
-    NO_COST,
-    OUT_OF_BUDGET,
-    OUT_OF_ENTRIES,
-    expand,
-    start_iteration,
-)
+from planner.search.best_first import NO_COST, OUT_OF_ENTRIES, start_iteration
 from planner.search.first_plan import CUT_OFF, FirstPlan, find_first_plan
 from planner.search.problem import (
     Request,
     Result,
     SearchTask,
     best_nodes,
+    expand_up_to,
     no_first_step,
     with_longer_queue,
 )
-from planner.time_limit import check_time, is_late
+from planner.time_limit import is_late
 
 _APART_M = 2.0  # from a state to its successors
 _SUCCESSORS = 8
@@ -45,7 +40,6 @@ _SUB_GOAL_CELLS = 2  # radius of a sub-goal
 _WEIGHT = 2.0
 _EASY, _HARD = 1_000, 10_000  # expansions of a local search, at first and once more
 _MOST_STATES = 2_000
-_CLOCK_EXPANSIONS = 2048  # expansions between two looks at the clock
 _MOST_EXPANSIONS = 5_000  # then `first_plan` takes over, which needs fewer
 _BEYOND_MOVES = 8  # by which path costs of a local search reach beyond its roots
 
@@ -168,10 +162,8 @@ class SparseSearch:
         tree = task.tree()
         start_iteration(task.lattice, task.heuristic, tree, _WEIGHT)
         outcome = OUT_OF_ENTRIES
-        while outcome in (OUT_OF_ENTRIES, OUT_OF_BUDGET) and tree.expansions < budget:
-            check_time()
-            chunk = min(_CLOCK_EXPANSIONS, budget - tree.expansions)
-            outcome = expand(task.lattice, task.heuristic, tree, _WEIGHT, chunk)
+        while outcome == OUT_OF_ENTRIES and tree.expansions < budget:
+            outcome = expand_up_to(task, tree, _WEIGHT, budget)
             if outcome == OUT_OF_ENTRIES:
                 tree = with_longer_queue(tree)
         self.expansions += tree.expansions
