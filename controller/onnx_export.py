@@ -1,7 +1,8 @@
 """A policy as one ONNX file: raw observation in, action out, and in it all that a user must know.
 
 The graph is written out layer by layer; the normaliser is its first two nodes. The weights are in
-the file itself, without a second file of data beside it.
+the file itself, without a second file of data beside it. A row of the observation that holds NaN
+gives a row of NaN: runtimes differ in what clipping and ReLU make of it.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.observation import SCALED_LIMIT
 from controller.policy import Policy
 from sim.robot import Robot
+from sim.scene import PHYSICS_TIMESTEP_S, build_scene
 
 if TYPE_CHECKING:
     import onnx
@@ -44,14 +47,18 @@ def require_onnx() -> None:
         ) from error
 
 
-def to_onnx(policy: Policy, robot: Robot) -> onnx.ModelProto:
-    """The model: `observation` (B, N) as from `observe`, float32, to `action` (B, J) in rad."""
+def to_onnx(policy: Policy, robot: Robot, *, clip: bool = True) -> onnx.ModelProto:
+    """The model: `observation` (B, N) as from `observe`, float32, to `action` (B, J) in rad.
+
+    With `clip` the scaled observation is cut off at the limit of training.
+    """
     from onnx import TensorProto, checker, helper, numpy_helper
 
     nodes, constants = [], []
 
-    def constant(name: str, values: np.ndarray) -> str:
-        constants.append(numpy_helper.from_array(np.ascontiguousarray(values, np.float32), name))
+    def constant(name: str, values: Any, kind: Any = np.float32) -> str:
+        array = np.ascontiguousarray(values, kind).reshape(np.shape(values))
+        constants.append(numpy_helper.from_array(array, name))
         return name
 
     def node(kind: str, *inputs: str, output: str, **attributes: Any) -> str:
@@ -60,13 +67,19 @@ def to_onnx(policy: Policy, robot: Robot) -> onnx.ModelProto:
 
     value = node("Sub", "observation", constant("offset", policy.offset), output="centred")
     value = node("Div", value, constant("scale", policy.scale), output="scaled")
+    if clip:
+        limits = constant("least", -SCALED_LIMIT), constant("most", SCALED_LIMIT)
+        value = node("Clip", value, *limits, output="clipped")
     last = len(policy.layers) - 1
     for k, (weight, bias) in enumerate(policy.layers):
         inputs = value, constant(f"weight_{k}", weight), constant(f"bias_{k}", bias)
-        output = "action" if k == last else f"layer_{k}"
-        value = node("Gemm", *inputs, output=output, transB=1)
+        value = node("Gemm", *inputs, output=f"layer_{k}", transB=1)
         if k < last:
             value = node("Relu", value, output=f"relu_{k}")
+    is_nan = node("IsNaN", "observation", output="is_nan")
+    marks = node("Where", is_nan, constant("nan", np.nan), constant("zero", 0.0), output="marks")
+    axes = constant("axes", [1], np.int64)
+    node("Add", value, node("ReduceSum", marks, axes, output="mark", keepdims=1), output="action")
     shapes = {"observation": len(policy.offset), "action": len(robot.joints)}
     ends = {
         name: helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width])
@@ -82,25 +95,32 @@ def to_onnx(policy: Policy, robot: Robot) -> onnx.ModelProto:
         opset_imports=[helper.make_opsetid("", OPSET)],
         doc_string="Leg joint targets for a humanoid that steps where it is told.",
     )
-    helper.set_model_props(model, metadata(policy, robot))
+    helper.set_model_props(model, metadata(policy, robot, clip=clip))
     checker.check_model(model, full_check=True)
     return model
 
 
-def metadata(policy: Policy, robot: Robot) -> dict[str, str]:
+def metadata(policy: Policy, robot: Robot, *, clip: bool = True) -> dict[str, str]:
     """What the file says of itself; lists and numbers as JSON."""
     trained = policy.about.get("trained") or {}
+    task = (trained.get("config") or {}).get("task") or {}
     ticks = GaitTicks.of(robot.gait)
+    x_m, _, z_m = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S).standing_qpos[:3].tolist()
     facts: dict[str, Any] = {
         "joints": [joint.name for joint in robot.joints],
         "half_sitting_rad": robot.half_sitting_rad.tolist(),
         "kp_nm_rad": [joint.kp for joint in robot.joints],
         "kd_nm_s_rad": [joint.kd for joint in robot.joints],
         "torque_limit_nm": [joint.torque_limit_nm for joint in robot.joints],
+        "armature_kg_m2": [joint.armature_kg_m2 for joint in robot.joints],
         "control_period_s": CONTROL_PERIOD_S,
         "gait_ticks": {"swing": ticks.swing, "double_support": ticks.double_support},
         "pelvis_height_m": robot.pelvis_height_m,
+        "standing_pelvis": {"x_m": x_m, "z_m": z_m, "pitch_rad": robot.pelvis_pitch_rad},
+        "step_range_s": policy.step_range_s(robot),
         "observation": policy.about["observation"],
+        "scaled_limit": SCALED_LIMIT if clip else None,
+        "randomization": task.get("randomization"),
         "trained": {key: trained.get(key) for key in ("command", "seed", "samples")},
     }
     return {
@@ -114,10 +134,10 @@ def metadata(policy: Policy, robot: Robot) -> dict[str, str]:
     }
 
 
-def greatest_difference(path: Path, policy: Policy) -> float:
+def greatest_difference(path: Path, policy: Policy, *, clip: bool = True) -> float:
     """How far the file's actions are from the policy's, in rad, over random observations.
 
-    They are drawn three times as wide as the normaliser's scale.
+    They are drawn three times as wide as the normaliser's scale, so some are clipped.
 
     Raises:
         ExportError: further than rounding to float32 explains.
@@ -128,7 +148,8 @@ def greatest_difference(path: Path, policy: Policy) -> float:
     drawn = rng.normal(size=(CHECKED_OBSERVATIONS, len(policy.offset)))
     observation = (policy.offset + 3 * policy.scale * drawn).astype(np.float32)
     (action,) = ReferenceEvaluator(str(path)).run(["action"], {"observation": observation})
-    native = policy.act(observation)
+    scaled = (observation - policy.offset) / policy.scale
+    native = policy.act_scaled(np.clip(scaled, -SCALED_LIMIT, SCALED_LIMIT) if clip else scaled)
     difference = float(np.abs(action - native).max())
     # Not `>`: that is false of numbers that are not finite.
     if not difference <= TOLERANCE * max(1.0, float(np.abs(native).max())):

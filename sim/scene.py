@@ -82,10 +82,7 @@ def build_scene(
     has any; they change nothing in the physics. With `treads` the floor can be moved and there are
     treads to be placed, per simulation (`sim.terrain`).
     """
-    spec = robot.build()
-    spec.modelname = robot.name
-    spec.option.timestep = timestep_s
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec = _robot_spec(robot, timestep_s)
     _add_servos(spec, robot)
     if treads:
         add_treads(spec)
@@ -113,6 +110,27 @@ def build_scene(
     )
 
 
+def robot_mjcf(robot: Robot) -> str:
+    """MJCF of the robot on a bare floor for other programs; rotor inertias inside, servos not."""
+    spec = _robot_spec(robot, PHYSICS_TIMESTEP_S)
+    add_floor(spec.worldbody)
+    spec.compile()
+    return spec.to_xml()
+
+
+def _robot_spec(robot: Robot, timestep_s: float) -> mujoco.MjSpec:
+    """The robot alone, with the inertias of its rotors."""
+    spec = robot.build()
+    spec.modelname = robot.name
+    spec.option.timestep = timestep_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for leg_joint in robot.joints:
+        joint = spec.joint(leg_joint.name)
+        joint.armature = leg_joint.armature_kg_m2
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    return spec
+
+
 def _standing_qpos(robot: Robot, model: mujoco.MjModel, joint_qpos: np.ndarray) -> np.ndarray:
     """Half-sitting with flat soles on the ground, their midpoint at the origin, facing +x."""
     data = mujoco.MjData(model)
@@ -128,11 +146,8 @@ def _standing_qpos(robot: Robot, model: mujoco.MjModel, joint_qpos: np.ndarray) 
 
 
 def _add_servos(spec: mujoco.MjSpec, robot: Robot) -> None:
-    """Position servos in the order of the robot's joints, with torque limits and armature."""
+    """Position servos in the order of the robot's joints, with torque limits."""
     for leg_joint in robot.joints:
-        joint = spec.joint(leg_joint.name)
-        joint.armature = leg_joint.armature_kg_m2
-        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         limit = leg_joint.torque_limit_nm
         actuator = spec.add_actuator(
             name=leg_joint.name,

@@ -15,7 +15,7 @@ import pytest
 from app.cli import main
 from controller.env import WalkTask
 from controller.onnx_export import FORMAT, to_onnx
-from controller.policy import POLICY_FOLDER, load_policy
+from controller.policy import POLICY_FOLDER, Policy, load_policy
 from controller.walker import Walker
 from sim.robots import get_robot
 from sim.scene import build_scene
@@ -56,11 +56,71 @@ def test_the_runtime_that_people_use_gives_the_actions_of_the_policy(exported):
 def test_it_is_one_file_and_the_same_every_time(exported, tmp_path):
     assert list(exported.parent.iterdir()) == [exported]
     model = onnx.load(exported, load_external_data=False)
-    assert len(model.graph.initializer) == 2 + 2 * len(load_policy(get_robot("jvrc1")).layers)
+    # Normaliser, limits of the clip, what marks NaN, and the layers.
+    layers = len(load_policy(get_robot("jvrc1")).layers)
+    assert len(model.graph.initializer) == 2 + 2 + 3 + 2 * layers
     assert all(tensor.raw_data and not tensor.external_data for tensor in model.graph.initializer)
     again = tmp_path / "again.onnx"
     assert main(["export", "--out", str(again)]) == 0
     assert again.read_bytes() == exported.read_bytes()
+
+
+@pytest.fixture(scope="module", params=["onnxruntime", "onnx.reference"])
+def run_model(request):
+    """Runs a file on an observation; what is promised of NaN holds in both runtimes."""
+    module = pytest.importorskip(request.param, reason="comes with the extra `test`")
+
+    def run(path: Path, observation: np.ndarray) -> np.ndarray:
+        if request.param == "onnxruntime":
+            session = module.InferenceSession(path, providers=["CPUExecutionProvider"])
+        else:
+            session = module.ReferenceEvaluator(str(path))
+        (action,) = session.run(["action"], {"observation": observation.astype(np.float32)})
+        return action
+
+    return run
+
+
+def outliers(policy: Policy) -> np.ndarray:
+    """Observations (2, N), the first of which has numbers far out."""
+    observation = np.tile(policy.offset, (2, 1))
+    observation[0, [2, 20, 33]] += policy.scale[[2, 20, 33]] * [40.0, -25.0, 12.0]
+    return observation
+
+
+def test_it_clips_outliers_as_training_does(exported, run_model):
+    policy = load_policy(get_robot("jvrc1"))
+    clipped = np.zeros((2, len(policy.offset)))
+    clipped[0, [2, 20, 33]] = 10.0, -10.0, 10.0
+    action = run_model(exported, outliers(policy))
+    assert action == pytest.approx(policy.act_scaled(clipped), abs=1e-4)
+    infinite = outliers(policy)
+    infinite[0, [2, 20, 33]] = np.inf, -np.inf, np.inf
+    assert run_model(exported, infinite) == pytest.approx(action, abs=1e-6)
+
+
+def test_without_clip_outliers_go_in_as_they_are(tmp_path, run_model, capsys):
+    policy, path = load_policy(get_robot("jvrc1")), tmp_path / "p.onnx"
+    assert main(["export", "--no-clip", "--json", "--out", str(path)]) == 0
+    assert json.loads(capsys.readouterr().out)["metadata"]["scaled_limit"] == "null"
+    seen = outliers(policy)
+    action = run_model(path, seen)
+    assert action == pytest.approx(policy.act(seen), abs=1e-4)
+    scaled = (seen - policy.offset) / policy.scale
+    assert np.abs(action - policy.act_scaled(np.clip(scaled, -10, 10))).max() > 0.1
+
+
+@pytest.mark.parametrize("words", [[], ["--no-clip"]])
+def test_a_row_with_nan_gives_nan_and_no_other_does(words, tmp_path, run_model):
+    policy, path = load_policy(get_robot("jvrc1")), tmp_path / "p.onnx"
+    assert main(["export", *words, "--out", str(path)]) == 0
+    width = len(policy.offset)
+    # One row for each field, and one without.
+    observation = np.tile(policy.offset, (width + 1, 1))
+    observation[np.arange(width), np.arange(width)] = np.nan
+    action = run_model(path, observation)
+    assert np.isnan(action[:width]).all()
+    assert action[width] == pytest.approx(policy.act(policy.offset[None])[0], abs=1e-5)
 
 
 def test_it_says_what_it_is_made_for_and_of(told):
@@ -77,7 +137,12 @@ def test_it_says_what_it_is_made_for_and_of(told):
     assert json.loads(told["control_period_s"]) == 0.025
     # 0.75 s and 0.35 s at 40 Hz.
     assert json.loads(told["gait_ticks"]) == {"swing": 30, "double_support": 14}
-    for key in ("half_sitting_rad", "kp_nm_rad", "kd_nm_s_rad", "torque_limit_nm"):
+    assert json.loads(told["scaled_limit"]) == 10.0
+    assert json.loads(told["step_range_s"]) == [0.7, 1.4]
+    drawn = about["trained"]["config"]["task"]["randomization"]
+    assert json.loads(told["randomization"]) == drawn
+    servos = "kp_nm_rad", "kd_nm_s_rad", "torque_limit_nm", "armature_kg_m2"
+    for key in ("half_sitting_rad", *servos):
         assert len(json.loads(told[key])) == 12
 
 
@@ -106,6 +171,7 @@ def test_json_is_all_on_standard_output(tmp_path, capsys):
     ("words", "says"),
     [
         (["--out", "p.pt"], "--out: p.pt must end in .onnx"),
+        (["--out", "p.onnx", "--mjcf", "robot.urdf"], "--mjcf: robot.urdf must end in .xml"),
         (["--out", "none/p.onnx"], "none is not a folder that exists"),
         (["--out", "p.onnx", "--robot", "atlas"], "no robot 'atlas': choose one of"),
         (["--out", "p.onnx", "--robot", "hrp5p", "--policy", JVRC1], "its robot is jvrc1"),
@@ -130,10 +196,10 @@ def test_a_file_that_acts_otherwise_never_gets_its_name(tmp_path, monkeypatch, c
     path = tmp_path / "p.onnx"
     path.write_bytes(b"what was there")
 
-    def wrong(policy, robot):
+    def wrong(policy, robot, **options):
         weight, bias = policy.layers[-1]
         layers = (*policy.layers[:-1], (weight, bias + np.float32(1e-3)))
-        return to_onnx(replace(policy, layers=layers), robot)
+        return to_onnx(replace(policy, layers=layers), robot, **options)
 
     monkeypatch.setattr("controller.onnx_export.to_onnx", wrong)
     told = refusal(capsys, "export", "--out", path)

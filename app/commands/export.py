@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.options import FileOption, RobotOptions, find_robot
-from app.output import ExitCode, as_bad_input, replacing, require_writable, say, to_json
+from app.options import FileOption, OptionalFile, RobotOptions, find_robot
+from app.output import (
+    ExitCode,
+    as_bad_input,
+    replacing,
+    require_writable,
+    say,
+    to_json,
+    write_text,
+)
 from controller.policy import PolicyError, load_policy
 
 
@@ -21,6 +29,12 @@ class ExportOptions(RobotOptions):
     out: FileOption
     """The file, such as policy.onnx."""
 
+    clip: bool = True
+    """Leave the scaled observation as it is, and do not clip it as training does."""
+
+    mjcf: OptionalFile = None
+    """Also write the robot as a MuJoCo model without servos, such as robot.xml."""
+
     json: bool = False
     """Print what is in the file, and how exact it is, on standard output as JSON."""
 
@@ -35,27 +49,33 @@ def run(options: ExportOptions) -> int:
         require_onnx,
         to_onnx,
     )
+    from sim.scene import robot_mjcf
 
     robot = find_robot(options.robot)
     require_writable(options.out, option="--out", endings=(".onnx",))
+    require_writable(options.mjcf, option="--mjcf", endings=(".xml",))
     with as_bad_input(PolicyError, ExportError):
         require_onnx()
         policy = load_policy(robot, options.policy)
-        content = to_onnx(policy, robot).SerializeToString()
+        content = to_onnx(policy, robot, clip=options.clip).SerializeToString()
         with replacing(options.out) as temporary:
             temporary.write_bytes(content)
-            difference = greatest_difference(temporary, policy)
+            difference = greatest_difference(temporary, policy, clip=options.clip)
     say(
         f"{options.out}: the policy of {robot.name}, {len(content) / 1e6:.2f} MB, at most "
         f"{difference:.1e} rad from the original in {CHECKED_OBSERVATIONS} random observations"
     )
+    if options.mjcf is not None:
+        write_text(options.mjcf, robot_mjcf(robot))
+        say(f"{options.mjcf}: {robot.name} on a bare floor, in MuJoCo's format")
     if options.json:
         document = {
             "file": str(options.out),
+            "mjcf": None if options.mjcf is None else str(options.mjcf),
             "bytes": len(content),
             "greatest_difference_rad": difference,
             "checked_observations": CHECKED_OBSERVATIONS,
-            "metadata": metadata(policy, robot),
+            "metadata": metadata(policy, robot, clip=options.clip),
         }
         print(to_json(document), end="")
     return ExitCode.DONE
