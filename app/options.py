@@ -219,6 +219,8 @@ PushOption = Annotated[float, number(at_least=0.0)]
 SeedOption = Annotated[int, whole_number(at_least=0, metavar="SEED")]
 WorkersOption = Annotated[int, whole_number(at_least=0)]
 CountOption = Annotated[int, whole_number(at_least=1)]
+# On unless turned off: the help shows the switch that does so, and its default.
+SwitchedOn = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: False)")]
 
 
 def parse_options(
@@ -350,7 +352,7 @@ class PlanningOptions(RobotOptions, MapOptions):
     planner: Annotated[str, choice(*PLANNERS)] = PlannerOptions.name
     """Which planner, such as ara; docs/planners.md tells them apart."""
 
-    refine: bool = True
+    refine: SwitchedOn = True
     """Leave the steps on the lattice, and do not move them to where they cost less."""
 
     seed: SeedOption = 0

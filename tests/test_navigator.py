@@ -206,6 +206,31 @@ def test_trials_walk_and_are_summed_up_by_outcome():
     json.dumps(summary)
 
 
+@pytest.mark.parametrize("gap_m", [0.0, 0.5])
+def test_pairs_that_no_way_joins_are_counted_apart(gap_m):
+    grid = empty_map(4.0)
+    cells = grid.cells.copy()
+    middle, gap = cells.shape[1] // 2, round(gap_m / 0.05)
+    cells[gap:, middle : middle + 2] = 1
+    walled = grid.with_cells(cells)
+    (wall_x_m, y_m), (_, gap_y_m) = walled.cell_to_world((40, middle)), walled.cell_to_world((5, 0))
+    options = trials_options(count=1, apart=0.1)
+    (trial,) = draw_trials(walled, options)
+    x_m = float(wall_x_m)
+    beside = replace(trial, start=(x_m - 0.9, y_m, 0.0), goal=(x_m - 0.8, y_m, 0.0))
+    across = replace(trial, start=(x_m - 0.9, y_m, 0.0), goal=(x_m + 0.9, y_m, 0.0))
+    summary = summarise([walk_one(walled, options, t) for t in (beside, across, across)])
+    assert (summary["reached"], summary["no_path"], summary["unconnected"]) == (1, 2, 2)
+    places = summary["narrow_places"]
+    assert [place["pairs"] for place in places] == ([2] if gap_m else [])
+    for place in places:
+        assert place["width_m"] == pytest.approx(gap_m, abs=0.11)
+        assert (place["x"], place["y"]) == pytest.approx((x_m, gap_y_m), abs=0.2)
+    text = table(summary)
+    assert "1 (33.3 %), of 1 that a way joins" in text
+    assert "2 pairs lie in parts that this robot cannot pass between" in text
+
+
 STAIRS = load_map("maps/stairs.yaml")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from app.options import FileOption, OptionalFile, RobotOptions, find_robot
+from app.options import FileOption, OptionalFile, RobotOptions, SwitchedOn, find_robot
 from app.output import (
     ExitCode,
     as_bad_input,
@@ -29,7 +29,7 @@ class ExportOptions(RobotOptions):
     out: FileOption
     """The file, such as policy.onnx."""
 
-    clip: bool = True
+    clip: SwitchedOn = True
     """Leave the scaled observation as it is, and do not clip it as training does."""
 
     mjcf: OptionalFile = None

@@ -145,11 +145,12 @@ def run(options: NavigateOptions) -> int:
         )
         _write(options, navigator, plan, report)
         print(report.to_json() if options.json else report.summary() + "\n", end="", flush=True)
-        if report.outcome is not Outcome.REACHED:
+        if options.json and report.outcome is not Outcome.REACHED:
             say(f"{report.outcome}: {report.reason}")
+        drawn = _draw(options, grid, robot, navigator)
         if not options.json:
-            say(f"written to {options.out}: report.json, plan.json, path.png")
-        _draw(options, grid, robot, navigator)
+            files = ", ".join(["report.json", "plan.json", "path.png", *map(str, drawn)])
+            say(f"written to {options.out}: {files}")
     return report.outcome.exit_code
 
 
@@ -210,8 +211,8 @@ def _write(
 
 def _draw(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, navigator: Navigator
-) -> None:
-    """Replay, film and picture strips of the walk, where they were asked for."""
+) -> list[Path]:
+    """Replay, film and picture strips of the walk, where they were asked for; the files."""
     from app.pictures.rendering import FOLLOW, Recording
     from sim.scene import scene_of
 
@@ -231,8 +232,10 @@ def _draw(
             goal=options.goal,
         )
         write_replay(options.html, grid, robot, story)
+    files = (options.html, options.video, options.strip, options.gait_strip)
+    written = [file for file in files if file is not None]
     if not options.draws_robot:
-        return
+        return written
     from app.pictures.film import write_film, write_strip
     from app.pictures.rendering import footmarks_of
 
@@ -249,6 +252,7 @@ def _draw(
         write_strip(
             options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s, marks=marks
         )
+    return written
 
 
 @contextlib.contextmanager

@@ -8,10 +8,10 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +34,11 @@ from app.workers import compile_planner, in_order
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from planner.plan import feet_at
+from planner.robot_model import StepModel
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from planner.collision import Terrain
 
 FORMAT = "navigation-trials/1"
 TRIALS = "trials.json"
@@ -184,7 +188,6 @@ def draw_trials(grid: OccupancyGrid, options: TrialsOptions) -> list[Trial]:
     """
     from planner.collision import terrain_of
     from planner.endpoints import what_blocks
-    from planner.search.passages import components, needed_m
 
     rng = np.random.default_rng(options.seed)
     model = find_robot_with_limits(options.robot, options.policy).step_model
@@ -199,15 +202,7 @@ def draw_trials(grid: OccupancyGrid, options: TrialsOptions) -> list[Trial]:
                 return pose
         raise InputError("the robot can hardly stand anywhere on this map: there is no free pose")
 
-    part = components(terrain.clearance_m, needed_m(model) / 2) if options.reachable else None
-
-    def are_joined(start: Pose, goal: Pose) -> bool:
-        """Whether a way that is wide enough joins two poses, if that is asked for."""
-        if part is None:
-            return True
-        row, col = grid.world_to_cell([start[:2], goal[:2]]).T
-        first, last = part[row, col]
-        return bool(first == last > 0)
+    are_joined = wide_ways(grid, terrain, model) if options.reachable else lambda *_: True
 
     trials: list[Trial] = []
     for seed in range(options.seed, options.seed + 1000 * options.count):
@@ -222,9 +217,26 @@ def draw_trials(grid: OccupancyGrid, options: TrialsOptions) -> list[Trial]:
     )
 
 
+def wide_ways(
+    grid: OccupancyGrid, terrain: Terrain, model: StepModel
+) -> Callable[[Sequence[float], Sequence[float]], bool]:
+    """Tells whether a way on which the robot can walk facing ahead joins two poses."""
+    from planner.search.passages import components, needed_m
+
+    part = components(terrain.clearance_m, needed_m(model) / 2)
+
+    def are_joined(start: Sequence[float], goal: Sequence[float]) -> bool:
+        row, col = grid.world_to_cell([start[:2], goal[:2]]).T
+        first, last = part[row, col]
+        return bool(first == last > 0)
+
+    return are_joined
+
+
 def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
     from app.navigation.navigator import Navigator, NavigatorConfig
+    from planner.collision import terrain_of
 
     robot, policy = load_walker(options.robot, options.policy)
     planner = replace(options.planner_options(), seed=trial.seed)
@@ -241,6 +253,10 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
     while navigator.outcome is None:
         navigator.tick()
     report = navigator.report()
+    joined = report.outcome is not Outcome.NO_PATH
+    if not joined:
+        terrain = terrain_of(grid, options.unknown_is_free)
+        joined = wide_ways(grid, terrain, robot.step_model)(trial.start, trial.goal)
     told = (
         *("goal_error_m", "goal_error_rad"),
         *("steps_planned", "steps_taken", "replans", "recovery_steps"),
@@ -255,6 +271,8 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         "foot_errors_m": [round(placed.error_m, 4) for placed in navigator.placed],
         "min_clearance_m": navigator.min_clearance_m,
         "gait": None if report.gait is None else asdict(report.gait),
+        "joined": joined,
+        "narrow_place": None if report.narrow_place is None else asdict(report.narrow_place),
         "planning_time_s": report.planning_time_s,
         "sim_time_s": report.sim_time_s,
     }
@@ -266,9 +284,12 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     errors = np.concatenate([result["foot_errors_m"] for result in results] or [[]])
     clearances = [r["min_clearance_m"] for r in results if r["min_clearance_m"] is not None]
     goals = [r["goal_error_m"] for r in results if r["outcome"] == Outcome.REACHED]
+    parted = [result for result in results if not result.get("joined", True)]
     return {
         "walks": len(results),
         **{str(outcome): outcomes.get(str(outcome), 0) for outcome in Outcome},
+        "unconnected": len(parted),
+        "narrow_places": _narrow_places([r["narrow_place"] for r in parted if r["narrow_place"]]),
         "steps_taken": len(errors),
         "replans": sum(result["replans"] for result in results),
         "recovery_steps": sum(result["recovery_steps"] for result in results),
@@ -279,6 +300,13 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "gait": _gait(results),
         "sim_time_s": sum(result["sim_time_s"] for result in results),
     }
+
+
+def _narrow_places(places: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
+    """The different ones, to within a decimetre, with how many pairs each parts; most first."""
+    at = [(round(place["x"], 1), round(place["y"], 1)) for place in places]
+    counted = Counter(at).most_common()
+    return [{**places[at.index(spot)], "pairs": count} for spot, count in counted]
 
 
 def _gait(results: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
@@ -302,6 +330,14 @@ def table(summary: Mapping[str, Any]) -> str:
     for outcome in Outcome:
         count = summary[str(outcome)]
         rows[str(outcome)] = f"{count} ({100 * count / walks:.1f} %)"
+    parted = summary["unconnected"]
+    if parted:
+        rows["reached"] += f", of {walks - parted} that a way joins"
+        rows["no_path"] += f"; {parted} pairs lie in parts that this robot cannot pass between"
+        rows["no_path"] += "".join(
+            f", {place['width_m']:.2f} m wide at {place['x']:.1f},{place['y']:.1f}"
+            for place in summary["narrow_places"][:3]
+        )
     rows["steps taken"] = f"{summary['steps_taken']}, {summary['recovery_steps']} against a push"
     rows["replans"] = f"{summary['replans']}"
     for key, title in (("foot_error_m", "feet from their steps"), ("goal_error_m", "goal missed")):

@@ -346,7 +346,7 @@ class Navigator:
             return
         if sim.sensors[0, :, sensors.wall_contacts[0]].max() > 0:
             x, y = sim.qpos[0, :2]
-            self._end(Outcome.COLLIDED, f"the robot touched a wall near {x:.2f}, {y:.2f}")
+            self._end(Outcome.COLLIDED, f"the robot touched an obstacle near {x:.2f}, {y:.2f}")
             return
         latest = sim.sensors[0, -1]
         lower_sole_z = latest[sensors.sole_pos_world[:, 2]].min()

@@ -186,7 +186,7 @@ class NavigationReport:
             lines.append(f"nearest to an obstacle: {100 * self.min_clearance_m:.0f} cm")
         lines.append(
             f"time: {self.planning_time_s:.2f} s planning, {self.sim_time_s:.1f} s walked, "
-            f"{self.wall_time_s:.1f} s waited"
+            f"{self.wall_time_s:.1f} s on the clock"
         )
         return "\n".join(lines)
 
