@@ -25,8 +25,8 @@ from typing import Any
 
 from app.commands.plan import PlanOptions
 from app.commands.plan import run as plan
+from app.navigation.planner_process import Answer, Asked, Query, World, answer_questions
 from app.options import MapOptions, read_grid
-from app.viewer.planner_process import Answer, Asked, Query, World, answer_questions
 from benchmarks.page_click import SERVED, clicked, watched_page
 from planner.plan import Pose, feet_at
 from sim.robots import get_robot

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from app.commands.trials import TrialsOptions, draw_trials, summarise, table, walk_one
+from app.navigation.live_navigator import LiveNavigator
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
-from app.viewer.live_navigator import LiveNavigator
 from controller.policy import Policy, load_policy
 from maps.grid import Cell, OccupancyGrid
 from maps.map_files import load_map

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from app.navigation.live_navigator import LiveNavigator, Replanner, WalkHistory
 from app.navigation.navigator import Navigator, NavigatorConfig
-from app.viewer.live_navigator import LiveNavigator, Replanner, WalkHistory
+from app.navigation.planner_process import Answer
 from app.viewer.obstacles import Obstacle, snapped
-from app.viewer.planner_process import Answer
 from app.viewer.session import Session
 from controller.evaluation.gait_summary import LEAST_STEPS
 from planner.options import PlannerOptions
@@ -250,7 +250,7 @@ def test_a_planner_that_dies_is_replaced(session):
 
 
 def test_a_planner_that_never_starts_is_given_up(monkeypatch):
-    monkeypatch.setattr("app.viewer.planner_process.answer_questions", sys.exit)
+    monkeypatch.setattr("app.navigation.planner_process.answer_questions", sys.exit)
     with (
         contextlib.closing(Session(HALL, ROBOT, POLICY)) as session,
         pytest.raises(RuntimeError, match="died 3 times"),

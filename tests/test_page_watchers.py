@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from app.navigation.live_navigator import Notice
 from app.viewer.camera import overview
-from app.viewer.live_navigator import Notice
 from app.viewer.page import Page, open_page
 from app.viewer.session import Snapshot
 from benchmarks.page_watcher import Watcher, painted_in_background

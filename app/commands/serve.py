@@ -84,7 +84,7 @@ def run(options: ServeOptions) -> int:
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:
-    from app.viewer.planner_process import World, place_to_stand
+    from app.navigation.planner_process import World, place_to_stand
 
     wanted = "--start {:g},{:g},{:g}".format(*options.start)
     if not grid.contains(options.start[:2]):

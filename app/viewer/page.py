@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from app.navigation.live_navigator import Notice
 from app.options import load_walker
 from app.viewer.camera import Cameras
-from app.viewer.live_navigator import Notice
 from app.viewer.markers import Footprints, PoseMarkers
 from app.viewer.obstacles import Obstacle, ObstacleEditor
 from app.viewer.panel import Panel

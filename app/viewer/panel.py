@@ -12,7 +12,7 @@ import numpy as np
 import viser
 from viser import uplot
 
-from app.viewer.live_navigator import Notice
+from app.navigation.live_navigator import Notice
 from app.viewer.markers import SIDE_RGB
 from app.viewer.obstacles import ObstacleEditor
 from app.viewer.pointer import Tool

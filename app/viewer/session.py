@@ -16,11 +16,11 @@ from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 
+from app.navigation.live_navigator import LiveNavigator, Notice, Replanner, WalkHistory
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
+from app.navigation.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
 from app.output import InputError
-from app.viewer.live_navigator import LiveNavigator, Notice, Replanner, WalkHistory
 from app.viewer.obstacles import Obstacle, with_obstacles
-from app.viewer.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid

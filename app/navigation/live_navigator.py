@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from app.navigation.navigator import FootstepPlanner, Navigator, Placed
+from app.navigation.planner_process import Answer, PlannerProcess
 from app.navigation.report import Outcome
-from app.viewer.planner_process import Answer, PlannerProcess
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
