@@ -249,9 +249,13 @@ class WalkTask:
     def reset(self, rows: np.ndarray) -> None:
         """Start new episodes for the robots `rows`."""
         for row in rows:
-            self._episodes.begin(self._rng, int(row), self.stage)
+            self._episodes.begin(self._episode_rng(int(row)), int(row), self.stage)
         self._torque_nm[rows] = 0.0
         self.ticks[rows] = 0
+
+    def _episode_rng(self, row: int) -> np.random.Generator:
+        """What the episodes of robot `row` are drawn with."""
+        return self._rng
 
     def observe(self) -> np.ndarray:
         """The policy's scaled observation (B, N), with the noise of its sensors."""

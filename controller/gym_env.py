@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -110,6 +112,9 @@ class GymTask(WalkTask):
             raise ValueError(f"mode {mode!r}: choose one of {', '.join(modes)}, or None for a mix")
         if count < 1:
             raise ValueError(f"num_envs {count} must be at least 1")
+        # Generators of seeds for the episodes of each robot, where each has its own, and the last.
+        self._seeders: list[np.random.Generator] = []
+        self._seeds, self._begins_again = [0] * count, False
         super().__init__(get_robot(robot), count=count, seed=0, mode=mode, **settings)
         self._renderer = SceneRenderer(self.walker.scene) if render_mode else None
         width = sum(field.width for field in policy_fields(self.robot))
@@ -123,15 +128,61 @@ class GymTask(WalkTask):
             self.last_observation, self.last_render_state = self.observe(), self._render_state()
         super().reset(rows)
 
+    def reset_again(self, rows: np.ndarray) -> np.ndarray:
+        """Start the episodes of the robots `rows` anew, keeping no last states; observes (B, N)."""
+        self._begins_again = True
+        super().reset(rows)
+        self._begins_again = False
+        return self.observe()
+
+    def _episode_rng(self, row: int) -> np.random.Generator:
+        if not self._seeders:
+            return super()._episode_rng(row)
+        if not self._begins_again:
+            self._seeds[row] = int(self._seeders[row].integers(2**63))
+        return np.random.default_rng(self._seeds[row])
+
+    @property
+    def has_own_seeds(self) -> bool:
+        """Whether each robot draws its episodes from a seed of its own."""
+        return bool(self._seeders)
+
+    def begin_each(
+        self, seeds: Sequence[int | None] | None, options: dict[str, Any] | None
+    ) -> np.ndarray:
+        """As `begin`, but each robot draws its episodes from a seed of its own, as a `WalkEnv`.
+
+        What disturbs them is drawn from all seeds together. None: the next episodes from the seeds
+        given before.
+
+        Raises:
+            ValueError: another number of seeds than robots, a seed below 0, or options.
+        """
+        if seeds is None:
+            return self._restart([rng.spawn(1)[0] for rng in self._seeders], options)
+        if len(seeds) != self.count:
+            raise ValueError(f"{len(seeds)} seeds for {self.count} robots: give one for each")
+        if any(seed is not None and seed < 0 for seed in seeds):
+            raise ValueError(f"seeds {list(seeds)} must be 0 or more")
+        self._seeders = [seeding.np_random(seed)[0] for seed in seeds]
+        return self.begin_each(None, options)
+
     def begin(self, rng: np.random.Generator, options: dict[str, Any] | None) -> np.ndarray:
         """Start new episodes for all robots; gives their observations (B, N).
 
         Raises:
             ValueError: there are options; none is known.
         """
+        self._seeders = []
+        return self._restart([rng], options)
+
+    def _restart(
+        self, rngs: Sequence[np.random.Generator], options: dict[str, Any] | None
+    ) -> np.ndarray:
         if options:
             raise ValueError(f"reset takes no options here, but got {', '.join(options)}")
-        self.restart(int(rng.integers(2**63)))
+        drawn = [int(rng.integers(2**63)) for rng in rngs]
+        self.restart(drawn[0] if len(drawn) == 1 else np.random.SeedSequence(drawn))
         return clip_to_space(self.observe())
 
     def pictures(self, *, ended: bool = False) -> tuple[np.ndarray, ...]:
@@ -250,9 +301,11 @@ register()
 class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     """B robots in one batch of simulations, each following steps of its own.
 
-    Autoreset is Gymnasium's SAME_STEP: where an episode ends, the observation is the first of the
-    next one, and `final_obs` and `final_info` hold the last of the old one. Infos are those of
-    `WalkEnv` without the reward's terms, as arrays (B,), each with a mask named `_NAME`.
+    Autoreset is Gymnasium's SAME_STEP or NEXT_STEP. In the first, the observation where an episode
+    ends is the first of the next one, and `final_obs` and `final_info` hold the last of the old
+    one. In the second it is the last of the old one, and the next step begins the new one there,
+    whatever its action. Infos are those of `WalkEnv` without the reward's terms, as arrays (B,),
+    each with a mask named `_NAME`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as Gymnasium declares it)
@@ -270,13 +323,22 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         config: TaskConfig | None = None,
         stage: Stage | None = None,
         render_mode: str | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.SAME_STEP,
     ):
         """Set `num_envs` robots up, with physics in `threads` threads.
 
         Raises:
-            ValueError: unknown robot, mode or render mode, or num_envs below 1.
+            ValueError: unknown robot, mode, render mode or autoreset mode, or num_envs below 1.
             NoGlError: render_mode is set and no GL library works here.
         """
+        known = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP)
+        chosen = next((way for way in known if autoreset_mode in (way, way.value)), None)
+        if chosen is None:
+            names = " or ".join(repr(way.value) for way in known)
+            raise ValueError(f"autoreset_mode {autoreset_mode!r}: choose {names}")
+        self.metadata = {**self.metadata, "autoreset_mode": chosen}
+        self._begins_next = chosen is AutoresetMode.NEXT_STEP
+        self._ended = np.zeros(num_envs if num_envs > 0 else 0, dtype=bool)
         self._task = GymTask(
             robot,
             count=num_envs,
@@ -294,17 +356,30 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start new episodes for all robots from one seed; threads do not change the result."""
-        super().reset(seed=seed)
-        return self._task.begin(self.np_random, options), {}
+        """Start new episodes for all robots from one seed, or from one for each.
+
+        Threads do not change the result.
+        """
+        self._ended[:] = False
+        if seed is None and self._task.has_own_seeds:
+            return self._task.begin_each(None, options), {}
+        if seed is None or isinstance(seed, (int, np.integer)):
+            super().reset(seed=None if seed is None else int(seed))
+            return self._task.begin(self.np_random, options), {}
+        return self._task.begin_each(seed, options), {}
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Act (B, J) for one control step."""
         step = self._task.step(validated_action(actions, self.action_space.shape or ()))
+        if self._begins_next:
+            return self._begin_next(step)
         ended = step.terminated | step.truncated
         infos: dict[str, Any] = dict(_infos(step, ~ended))
         if ended.any():
@@ -317,9 +392,25 @@ class WalkVectorEnv(gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarra
         observation = clip_to_space(step.observation)
         return observation, step.reward, step.terminated, step.truncated, infos
 
+    def _begin_next(
+        self, step: Transition
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """What NEXT_STEP tells of a step: ends as they are, and beginnings one step after them."""
+        begun = self._ended
+        terminated, truncated = step.terminated & ~begun, step.truncated & ~begun
+        self._ended = terminated | truncated
+        observation = step.observation.copy()
+        if self._ended.any():
+            observation[self._ended] = self._task.last_observation[self._ended]
+        if begun.any():
+            # They have walked a step of an episode that nobody saw begin.
+            observation[begun] = self._task.reset_again(np.flatnonzero(begun))[begun]
+        reward = np.where(begun, 0.0, step.reward)
+        return clip_to_space(observation), reward, terminated, truncated, _infos(step, ~begun)
+
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Images (480, 640, 3) of all robots; None without render_mode."""
-        return self._task.pictures() or None
+        return self._task.pictures(ended=bool(self._ended.any())) or None
 
     def close_extras(self, **kwargs: Any) -> None:
         """Free the renderer."""

@@ -13,6 +13,7 @@ import pytest
 from gymnasium.utils import seeding
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 
 from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
@@ -94,6 +95,72 @@ def test_many_robots_are_the_task_and_final_obs_is_what_the_ended_episodes_saw()
             assert info["final_info"]["_landed"].all()
 
 
+@pytest.mark.parametrize("autoreset_mode", ["SameStep", "NextStep"])
+def test_with_a_list_of_seeds_it_does_what_gymnasiums_own_vector_of_single_robots_does(
+    autoreset_mode,
+):
+    """Over some episodes, of which one robot's end early, by a fall."""
+    config = TaskConfig(episode_ticks=60)
+    ours = gymnasium.make_vec(JVRC1, num_envs=3, config=config, autoreset_mode=autoreset_mode)
+    oracle = gymnasium.make_vec(
+        JVRC1,
+        num_envs=3,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": autoreset_mode},
+        config=config,
+    )
+    assert ours.metadata["autoreset_mode"] is oracle.metadata["autoreset_mode"]
+    draws = actions(3, 130)
+    draws[:, 1] = [-1.0, 0, 0, 2.0, 0, -1.0] * 2  # its legs fold
+    ended = []
+    for seed in ([11, 5, 7], None):
+        assert np.array_equal(ours.reset(seed=seed)[0], oracle.reset(seed=seed)[0])
+        for action in draws:
+            mine, theirs = ours.step(action), oracle.step(action)
+            for value, expected in zip(mine[:4], theirs[:4], strict=True):
+                assert value == pytest.approx(expected, abs=1e-12)
+            assert ("final_obs" in mine[4]) == ("final_obs" in theirs[4])
+            for name in ("landed", "stairs", "failed"):
+                told = mine[4][f"_{name}"]
+                assert np.array_equal(told, theirs[4].get(f"_{name}", np.zeros(3, bool)))
+            ended.append(mine[2] | mine[3])
+    episodes = np.sum(ended, axis=0)
+    assert episodes.min() >= 4
+    assert episodes[1] > episodes[0]
+
+
+def test_a_robots_episodes_depend_on_its_own_seed_alone():
+    seen = []
+    for seed in ([1, 2, 3], [8, 2, 9]):
+        envs = gymnasium.make_vec(JVRC1, num_envs=3, config=SHORT)
+        first = envs.reset(seed=seed)[0]
+        seen.append([first, *(envs.step(action)[0] for action in actions(3, 2 * TICKS))])
+    one, other = np.array(seen)
+    assert np.array_equal(one[:, 1], other[:, 1])
+    assert not np.array_equal(one[:, 0], other[:, 0])
+
+
+@pytest.mark.parametrize("stage", [None, Stage(rise_m=0.1, disturbance_level=1.0)])
+def test_gymnasiums_vector_wrappers_run_on_it(stage):
+    envs = gymnasium.make_vec(
+        JVRC1, num_envs=3, config=SHORT, stage=stage, autoreset_mode=AutoresetMode.NEXT_STEP
+    )
+    recorded = RecordEpisodeStatistics(NormalizeObservation(envs))
+    recorded.reset(seed=[4, 5, 6])
+    returns, seen, lengths = np.zeros(3), [], []
+    # An episode, and a step in which the next one begins.
+    for action in actions(3, 4 * (TICKS + 1)):
+        observation, reward, terminated, truncated, info = recorded.step(action)
+        seen.append(observation)
+        returns += reward
+        for row in np.flatnonzero(terminated | truncated):
+            assert info["episode"]["r"][row] == pytest.approx(returns[row])
+            lengths.append(int(info["episode"]["l"][row]))
+            returns[row] = 0.0
+    assert lengths == [TICKS] * 12
+    assert np.std(seen) == pytest.approx(1.0, abs=0.4)
+
+
 def test_a_fall_ends_the_episode_of_that_robot_only():
     """The legs of one robot fold; then it stands anew, and what it saw last is told."""
     envs = gymnasium.make_vec(JVRC1, num_envs=2, mode="standing")
@@ -152,12 +219,21 @@ def test_same_seed_same_episodes_and_another_seed_others(make, stage):
         ({"render_mode": "human"}, "render_mode 'human': choose 'rgb_array' or None"),
         ({"robot": "atlas"}, "no robot 'atlas': choose one of "),
         ({"num_envs": 0}, "num_envs 0 must be at least 1"),
+        ({"autoreset_mode": "Disabled"}, "'Disabled': choose 'SameStep' or 'NextStep'"),
     ],
 )
 def test_what_cannot_be_made_is_told_in_one_line(given, told):
     with pytest.raises(ValueError, match=told) as caught:
         WalkVectorEnv(**given)
     assert "\n" not in str(caught.value)
+
+
+def test_seeds_that_do_not_fit_are_refused():
+    envs = gymnasium.make_vec(JVRC1, num_envs=2)
+    with pytest.raises(ValueError, match="3 seeds for 2 robots: give one for each"):
+        envs.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match="must be 0 or more"):
+        envs.reset(seed=[1, -2])
 
 
 def test_stairs_are_told():
