@@ -6,6 +6,7 @@ import importlib.util
 import os
 import re
 import warnings
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -101,8 +102,8 @@ def test_with_a_list_of_seeds_it_does_what_gymnasiums_own_vector_of_single_robot
 ):
     """Over some episodes, of which one robot's end early, by a fall."""
     config = TaskConfig(episode_ticks=60)
-    ours = gymnasium.make_vec(JVRC1, num_envs=3, config=config, autoreset_mode=autoreset_mode)
-    oracle = gymnasium.make_vec(
+    ours: Any = gymnasium.make_vec(JVRC1, num_envs=3, config=config, autoreset_mode=autoreset_mode)
+    oracle: Any = gymnasium.make_vec(
         JVRC1,
         num_envs=3,
         vectorization_mode="sync",
@@ -132,7 +133,7 @@ def test_with_a_list_of_seeds_it_does_what_gymnasiums_own_vector_of_single_robot
 def test_a_robots_episodes_depend_on_its_own_seed_alone():
     seen = []
     for seed in ([1, 2, 3], [8, 2, 9]):
-        envs = gymnasium.make_vec(JVRC1, num_envs=3, config=SHORT)
+        envs: Any = gymnasium.make_vec(JVRC1, num_envs=3, config=SHORT)
         first = envs.reset(seed=seed)[0]
         seen.append([first, *(envs.step(action)[0] for action in actions(3, 2 * TICKS))])
     one, other = np.array(seen)
@@ -145,7 +146,7 @@ def test_gymnasiums_vector_wrappers_run_on_it(stage):
     envs = gymnasium.make_vec(
         JVRC1, num_envs=3, config=SHORT, stage=stage, autoreset_mode=AutoresetMode.NEXT_STEP
     )
-    recorded = RecordEpisodeStatistics(NormalizeObservation(envs))
+    recorded: Any = RecordEpisodeStatistics(NormalizeObservation(envs))
     recorded.reset(seed=[4, 5, 6])
     returns, seen, lengths = np.zeros(3), [], []
     # An episode, and a step in which the next one begins.
@@ -229,7 +230,7 @@ def test_what_cannot_be_made_is_told_in_one_line(given, told):
 
 
 def test_seeds_that_do_not_fit_are_refused():
-    envs = gymnasium.make_vec(JVRC1, num_envs=2)
+    envs: Any = gymnasium.make_vec(JVRC1, num_envs=2)
     with pytest.raises(ValueError, match="3 seeds for 2 robots: give one for each"):
         envs.reset(seed=[1, 2, 3])
     with pytest.raises(ValueError, match="must be 0 or more"):
