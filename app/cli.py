@@ -104,7 +104,8 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
             return code
     except InputError as error:
         # One line, but for a map without its YAML: that message shows the lines to write.
-        print(f"error: {error}", file=sys.stderr)
+        told, colon, lines = str(error).partition(":\n")
+        print(f"error: {one_line(told)}{colon}{lines}", file=sys.stderr)
         return ExitCode.BAD_INPUT
     except _Terminated:
         print("terminated", file=sys.stderr)

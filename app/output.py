@@ -21,6 +21,7 @@ from maps.files import written_whole
 
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 LINE_EVERY_S = 5.0
+_WORD, _LINE = 400, 1000  # letters of a word and of a line that are shown of a message
 
 
 class ExitCode(IntEnum):
@@ -55,8 +56,17 @@ def as_bad_input(*kinds: type[Exception]) -> Iterator[None]:
 
 
 def one_line(message: object) -> str:
-    """The message with every run of white space, line ends included, made one blank."""
-    return " ".join(str(message).split())
+    """The message with every run of white space, line ends included, made one blank.
+
+    Of words and lines that are too long to be read the middle is left out.
+    """
+    return _shortened(" ".join(_shortened(word, _WORD) for word in str(message).split()), _LINE)
+
+
+def _shortened(text: str, most: int) -> str:
+    """The text with its middle left out if it has more than so many letters."""
+    half = most // 2 - 3
+    return text if len(text) <= most else f"{text[:half]} ... {text[-half:]}"
 
 
 def require_writable(path: Path | None, *, option: str, endings: Sequence[str] = ()) -> None:

@@ -15,7 +15,7 @@ import torch
 from controller.curriculum import Stage
 from controller.observation import critic_fields, layout, policy_fields
 from controller.ppo import TrainConfig
-from maps.files import written_whole
+from maps.files import from_json, written_whole
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
@@ -98,16 +98,16 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     if not isinstance(document, Mapping) or document.get("format") != CHECKPOINT_FORMAT:
         raise TrainingError(f"{path} is not a {CHECKPOINT_FORMAT} checkpoint")
     try:
-        _check_config(folder, config, json.loads(document["config"]))
-        _check_layout(path, robot, json.loads(document.get("layout", "null")))
+        _check_config(folder, config, from_json(document["config"]))
+        _check_layout(path, robot, from_json(document.get("layout", "null")))
         return Checkpoint(
             segment=document["segment"],
             stage=Stage(**document["stage"]),
             best_score=tuple(document["best_score"]),
-            history=json.loads(document["history"]),
+            history=from_json(document["history"]),
             learner=document["learner"],
         )
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TrainingError(f"{path} is damaged: {error!r}") from error
 
 

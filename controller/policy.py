@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.observation import layout, normaliser, policy_fields
-from maps.files import written_whole
+from maps.files import from_json, written_whole
 from sim.robot import Robot
 
 FORMAT = "footstep-policy/1"
@@ -143,20 +143,24 @@ def load_policy(robot: Robot, path: Path | None = None) -> Policy:
     try:
         content = path.read_bytes()
         tensors = load(content)
-        about = json.loads(about_path.read_text())
-        offset = np.array(about["normaliser"]["offset"], dtype=float)
-        scale = np.array(about["normaliser"]["scale"], dtype=float)
+        about = from_json(about_path.read_bytes())
+        offset, scale = (np.array(about["normaliser"][k], float) for k in ("offset", "scale"))
         depth = len(tensors) // 2
         layers = tuple(
             (tensors[f"layer{k}.weight"], tensors[f"layer{k}.bias"]) for k in range(depth)
         )
-    except (SafetensorError, json.JSONDecodeError, KeyError, TypeError, OSError) as error:
+        policy = Policy(layers=layers, offset=offset, scale=scale, about=about)
+        _check(robot, path, policy, hashlib.sha256(content).hexdigest())
+    except PolicyError:
+        raise
+    except (SafetensorError, LookupError, TypeError, ValueError, AttributeError, OSError) as error:
         raise PolicyError(f"policy {path} cannot be read ({error}): it is damaged") from error
-    _check(robot, path, about, layers, hashlib.sha256(content).hexdigest())
-    return Policy(layers=layers, offset=offset, scale=scale, about=about)
+    return policy
 
 
-def _check(robot: Robot, path: Path, about: dict[str, Any], layers: Any, digest: str) -> None:
+def _check(robot: Robot, path: Path, policy: Policy, digest: str) -> None:
+    """Raises PolicyError unless it is for this robot; other errors tell that it is damaged."""
+    about, layers = policy.about, policy.layers
     fields = policy_fields(robot)
     if about.get("observation") == layout(fields[:-1]):
         fields = fields[:-1]  # older: without the durations of the steps
@@ -173,8 +177,16 @@ def _check(robot: Robot, path: Path, about: dict[str, Any], layers: Any, digest:
                 f"policy {path} does not fit: its {key} is {about.get(key)}, "
                 f"{robot.name} needs {value}"
             )
-    shape = layers[0][0].shape[1] if layers else 0, layers[-1][0].shape[0] if layers else 0
-    if shape != (sum(field.width for field in fields), len(robot.joints)):
-        raise PolicyError(f"policy {path} does not fit: it maps {shape[0]} to {shape[1]} numbers")
-    if not all(np.isfinite(array).all() for layer in layers for array in layer):
-        raise PolicyError(f"policy {path} has weights that are not finite: it is damaged")
+    inputs, outputs = sum(field.width for field in fields), len(robot.joints)
+    widths = [inputs, *(bias.size for _, bias in layers)]
+    wanted = list(zip(widths[1:], widths, strict=False))
+    if [weight.shape for weight, _ in layers] != wanted or widths[-1] != outputs or not layers:
+        raise PolicyError(
+            f"policy {path} does not fit: it maps {widths} numbers, {inputs} must become {outputs}"
+        )
+    arrays = [*(array for layer in layers for array in layer), policy.offset, policy.scale]
+    if not all(np.isfinite(array).all() for array in arrays):
+        raise PolicyError(f"policy {path} has numbers that are not finite: it is damaged")
+    if {policy.offset.shape, policy.scale.shape} != {(inputs,)} or not policy.scale.all():
+        raise ValueError(f"the normaliser must have {inputs} offsets, and scales other than 0")
+    policy.step_range_s(robot)

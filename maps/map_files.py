@@ -265,7 +265,7 @@ def _number(name: str, value: Any, file: Path) -> float:
     # YAML 1.1 reads 5e-2 as text; the map server's own reader takes it for a number.
     try:
         number = float(value) if not isinstance(value, bool) else math.nan
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
         raise MapError(f"map {file}: {name} {value!r} must be a finite number")

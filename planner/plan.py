@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maps.files import from_json
 from planner.robot_model import Side
 
 FORMAT = "footstep-plan/1"
@@ -164,8 +165,8 @@ class FootstepPlan:
     def from_json(text: str) -> FootstepPlan:
         """The plan that plan.json text holds. Raises ValueError naming what is wrong in it."""
         try:
-            document = json.loads(text)
-        except json.JSONDecodeError as error:
+            document = from_json(text)
+        except ValueError as error:
             raise ValueError(f"not a plan: invalid JSON ({error})") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             found = document.get("format") if isinstance(document, dict) else type(document)
@@ -174,7 +175,7 @@ class FootstepPlan:
             return _from_document(document)
         except KeyError as error:
             raise ValueError(f"not a plan: key {error} is missing") from None
-        except (TypeError, ValueError, AttributeError) as error:
+        except (TypeError, ValueError, AttributeError, OverflowError) as error:
             raise ValueError(f"not a plan: {error}") from None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -32,6 +31,7 @@ from app.output import (
 )
 from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import TrackingLimits, tracking_limits_path, tracking_limits_text
+from maps.files import from_json
 
 if TYPE_CHECKING:
     from app.evaluation.parts import EvaluationSetup, Part, Results
@@ -203,7 +203,7 @@ def read_beside(folder: Path, robot: str) -> dict[str, Any]:
     """
     path = folder / "evaluation.json"
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = from_json(path.read_bytes())
     except OSError as error:
         raise InputError(
             f"--beside: {path} cannot be read ({error.strerror}); give the folder of an evaluation"

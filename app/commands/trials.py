@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import json
 import math
 import time
 from collections import Counter
@@ -32,6 +31,7 @@ from app.options import (
 from app.output import ExitCode, InputError, ProgressBar, make_folder, say, to_json, write_text
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
+from maps.files import from_json
 from maps.grid import OccupancyGrid
 from planner.plan import feet_at
 from planner.robot_model import StepModel
@@ -166,11 +166,13 @@ def finished(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
         InputError: There is no such file, or its walks depend on something else.
     """
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = from_json(file.read_bytes())
         known, trials = document["settings"], list(document["trials"])
-    except (OSError, ValueError, KeyError, TypeError):
+        known.keys()
+        to_json({"summary": summarise(trials), "trials": trials})
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError):
         raise InputError(f"--resume: {file} holds no trials to go on with") from None
-    wanted = json.loads(to_json(settings))
+    wanted = from_json(to_json(settings))
     for name in wanted:
         if known.get(name) != wanted[name]:
             raise InputError(

@@ -6,7 +6,6 @@ episodes takes them up.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -18,6 +17,7 @@ import mujoco
 
 from app.output import make_folder, to_json, write_text
 from controller.policy import Policy
+from maps.files import from_json
 from sim.robot import Robot
 
 FORMAT = "evaluation-part/3"
@@ -80,7 +80,7 @@ class ResultCache:
     def read(self, part: Part) -> dict[str, Any] | None:
         """A part's result; None where there is none of the same settings."""
         try:
-            document = json.loads(self._path(part).read_text(encoding="utf-8"))
+            document = from_json(self._path(part).read_bytes())
         except (OSError, ValueError):
             return None
         if not isinstance(document, dict) or not isinstance(document.get("result"), dict):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import importlib.metadata
-import json
 import math
 import platform
 from collections.abc import Iterable, Mapping
@@ -19,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from app.output import ExitCode, to_json
 from controller.evaluation.gait_summary import GaitSummary
+from maps.files import from_json
 from planner.plan import NarrowPlace
 
 FORMAT = "navigation-report/1"
@@ -139,8 +139,8 @@ class NavigationReport:
             ValueError: Not such a report; the message says what is wrong in it.
         """
         try:
-            document = json.loads(text)
-        except json.JSONDecodeError as error:
+            document = from_json(text)
+        except ValueError as error:
             raise ValueError(f"not a report: invalid JSON ({error})") from None
         if not isinstance(document, dict) or document.get("format") != FORMAT:
             found = document.get("format") if isinstance(document, dict) else document

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maps.files import written_whole
+from maps.files import from_json, written_whole
 from planner.plan import FootstepPlan, PlanStatus, feet_at, relative_steps
 from planner.robot_model import StepModel
 
@@ -78,7 +78,7 @@ class Corpus:
         self._check()
 
     def _check(self) -> None:
-        n, m = len(self.status), len(self.side)
+        n, m = self.status.size, self.side.size
         counts = {"n": n, "m": m, "o": n + 1, "k": self.box.shape[1] if self.box.ndim == 3 else 0}
         for name, (_, letters) in _ARRAYS.items():
             shape = tuple(counts[c] if c in counts else int(c) for c in letters)
@@ -215,7 +215,10 @@ class Corpus:
                 )
         except KeyError as error:
             raise CorpusError(f"{folder} is no corpus: {error} is missing") from None
-        except (OSError, ValueError, zipfile.BadZipFile) as error:
+        except CorpusError:
+            raise
+        # What numpy and zipfile raise on damaged archives is of many kinds.
+        except Exception as error:
             raise CorpusError(f"{folder} is no corpus: {PLANS}: {error}") from None
 
 
@@ -241,7 +244,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise CorpusError(f"{folder} is no corpus: it is not a folder")
     try:
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+        manifest = from_json((folder / MANIFEST).read_bytes())
     except (OSError, ValueError) as error:
         told = error.strerror if isinstance(error, OSError) else error
         raise CorpusError(f"{folder} is no corpus: {MANIFEST}: {told}") from None
