@@ -18,7 +18,8 @@ from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatist
 
 from controller.curriculum import Stage
 from controller.env import TaskConfig, WalkTask
-from controller.gym_env import COLOURS, WalkVectorEnv, environment_id
+from controller.gym_env import WalkVectorEnv, environment_id
+from controller.gym_render import COLOURS
 from controller.policy import load_policy
 from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
