@@ -59,6 +59,14 @@ class Reach(NamedTuple):
     rad: float
 
 
+class Size(NamedTuple):
+    """Width and height of pictures in pixels."""
+
+    width: int
+    height: int
+
+
+LEAST_PX, MOST_PX = 64, 7680
 Numbers = TypeVar("Numbers", Pose, Interval, Reach)
 
 
@@ -118,12 +126,26 @@ parse_reach = _reader(
 )
 
 
+def parse_size(text: str) -> Size:
+    """Reads a size such as 1280x720; raises ValueError unless films can have it."""
+    with contextlib.suppress(ValueError):
+        width, height = map(int, text.lower().split("x"))
+        if all(LEAST_PX <= side <= MOST_PX and side % 2 == 0 for side in (width, height)):
+            return Size(width, height)
+    raise ValueError(
+        f"{text!r} is not a size; write WIDTHxHEIGHT, two even numbers of {LEAST_PX} to {MOST_PX} "
+        "such as 1280x720"
+    )
+
+
 def _show(value: object) -> list[str]:
     """A value as the help shows it and as it would be typed."""
     if value is None or value == ():
         return ["none"]
     if isinstance(value, (Pose, Interval, Reach)):
         return [",".join(f"{part:g}" for part in value)]
+    if isinstance(value, Size):
+        return [f"{value.width}x{value.height}"]
     if isinstance(value, tuple):
         return [",".join(map(str, value))]
     return [str(value)]
@@ -204,6 +226,7 @@ PosesOption = Annotated[
     text("X,Y,YAW:X,Y,YAW...", lambda word: tuple(map(parse_pose, word.split(":")))),
 ]
 OptionalInterval = Annotated[Interval | None, text("LOW,HIGH", parse_interval)]
+SizeOption = Annotated[Size, text("WIDTHxHEIGHT", parse_size)]
 ReachOption = Annotated[Reach, text("M,RAD", parse_reach)]
 OptionalLength = Annotated[float | None, number(above=0)]
 OptionalTime = OptionalLength

@@ -21,6 +21,7 @@ from app.options import (
     choice,
     number,
     parse_options,
+    parse_size,
     whole_number,
 )
 from app.output import InputError
@@ -278,3 +279,17 @@ def test_every_example_is_one_that_the_command_takes(name):
     run, kind = load_run(name)
     parse_options(kind, words, program=name, example="")
     assert callable(run)
+
+
+@pytest.mark.parametrize("word", ["1280x720", "1280X720"])
+def test_a_size_of_a_film_is_read(word):
+    assert parse_size(word) == (1280, 720)
+
+
+@pytest.mark.parametrize(
+    "word",
+    ["1280", "1281x720", "1280x721", "0x0", "62x720", "9000x720", "axb", "1280x720x3", "-64x64"],
+)
+def test_a_size_that_no_film_can_have_is_refused(word):
+    with pytest.raises(ValueError, match=f"{word!r} is not a size; write WIDTHxHEIGHT"):
+        parse_size(word)

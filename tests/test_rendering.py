@@ -1,4 +1,4 @@
-"""Cameras, footprints and glass walls by hand-worked cases; films, strips and portraits with GL."""
+"""Cameras, footprints, what is cut away by hand-worked cases; films, strips, portraits with GL."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from app.navigation.navigator import Placed
-from app.pictures.film import tile
+from app.pictures.film import captioned, tile
 from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from app.pictures.rendering import (
     Boxes,
@@ -23,7 +23,9 @@ from app.pictures.rendering import (
     eye_position,
     footmarks_of,
     hides,
+    obstacles_of,
     points_to_see,
+    resampled,
 )
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import FootShape, Side
@@ -122,8 +124,56 @@ EYE_M, ROBOT_M = np.array([-3.0, 0.0, 0.5]), np.array([[0.0, 0.0, 0.5]])
         (box((-1, 0.05, 0.5), yaw_rad=np.pi / 2), True),
     ],
 )
-def test_only_what_stands_between_is_made_glass(boxes, hidden):
+def test_only_what_stands_between_is_cut_away(boxes, hidden):
     assert hides(boxes, EYE_M, ROBOT_M).tolist() == [hidden]
+
+
+def boxes_at(*extents: tuple[float, float, float, float], yaw_rad: float = 0.0) -> Boxes:
+    """Boxes of x and y from, to, on a map that is turned."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    low, high = np.array([e[::2] for e in extents]), np.array([e[1::2] for e in extents])
+    centre = np.column_stack([(low + high) / 2, np.full(len(low), 0.5)])
+    return Boxes(
+        geom=np.arange(len(low)),
+        centre_m=centre @ turn.T,
+        T_world_box=np.tile(turn, (len(low), 1, 1)),
+        half_m=np.column_stack([(high - low) / 2, np.full(len(low), 0.5)]),
+    )
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.7])
+def test_small_boxes_that_touch_are_one_obstacle_and_walls_are_not(yaw_rad):
+    plant = [(0, 0.4, 0, 0.1), (0.1, 0.3, 0.1, 0.2), (0.1, 0.3, -0.2, 0.0)]
+    alone = [(0.5, 0.6, 0.0, 0.1)]
+    walls = [(2, 6, 0, 0.2), (5.8, 6, 0.2, 4)]
+    label = obstacles_of(boxes_at(*plant, *alone, *walls, yaw_rad=yaw_rad))
+    assert len(set(label[:3])) == 1
+    assert len(set(label)) == 4
+    assert label[4] != label[5]
+
+
+def test_between_moments_the_walk_goes_on_evenly():
+    walk = recording_of(np.array([[0, 0, 3.0], [1, 0, 3.2], [1, 2, 3.2]]))
+    shown = resampled(walk, np.array([-1.0, 0.0125, 0.0375, 9.0]))
+    assert shown.qpos[:, :2] == pytest.approx(np.array([[0, 0], [0.5, 0], [1, 1], [1, 2]]))
+    yaw_rad = 2 * np.arctan2(shown.qpos[:, 6], shown.qpos[:, 3])
+    assert yaw_rad == pytest.approx([3.0, 3.1, 3.2, 3.2], abs=1e-6)
+    assert np.linalg.norm(shown.qpos[:, 3:7], axis=1) == pytest.approx(1.0)
+    assert resampled(recording_of(np.zeros((1, 3))), np.array([0.0, 1.0])).qpos.shape == (2, 7)
+
+
+def test_a_caption_leaves_the_middle_as_it_is_and_what_does_not_fit_out():
+    picture = np.zeros((360, 640, 3), np.uint8)
+    done = captioned(picture, "a title", "1.0 s")
+    assert not done[40:320].any()
+    assert np.median(done[:10]) > 150
+    assert done[350:, :200, 2].max() > done[350:, :200, 0].min()
+    assert not picture[40:].any()
+    # No title over the time, and none at all on small pictures.
+    long = captioned(np.zeros((360, 640, 3), np.uint8), "a title " * 30, "1.0 s")
+    assert np.array_equal(long, captioned(np.zeros((360, 640, 3), np.uint8), "", "1.0 s"))
+    assert not captioned(np.zeros((120, 160, 3), np.uint8), "a title", "1.0 s").any()
 
 
 def test_what_is_to_be_seen_spreads_across_the_view():
@@ -201,7 +251,10 @@ qpos[:, 2], qpos[:, 3] = 0.75, 1
 recording = Recording(qpos=qpos, time_s=np.arange(81) / 40)
 folder = Path(sys.argv[1])
 write_strip(folder / "strip.png", model, recording, frames=4, width=100, height=80)
+heights = model.geom_size[:, 2].copy()
 print(write_film(folder / "film.mp4", model, recording, width=160, height=120))
+print(write_film(folder / "slow.mp4", model, recording, width=64, height=64, frames_per_s=10))
+assert (model.geom_size[:, 2] == heights).all()
 """
 
 
@@ -209,7 +262,7 @@ print(write_film(folder / "film.mp4", model, recording, width=160, height=120))
 def drawn(tmp_path_factory):
     """Folder with a strip and a film."""
     folder = tmp_path_factory.mktemp("drawn")
-    assert drawn_by("-c", DRAW, folder).split() == ["41"]
+    assert drawn_by("-c", DRAW, folder).split() == ["61", "21"]
     return folder
 
 
@@ -232,9 +285,10 @@ def test_a_film_has_the_frames_of_the_walk(drawn):
     with av.open(str(drawn / "film.mp4")) as film:
         stream = film.streams.video[0]
         assert stream.codec_context.name == "h264"
-        assert stream.average_rate == 20
+        assert stream.average_rate == 30
         frames = [frame.to_ndarray(format="bgr24") for frame in film.decode(stream)]
-    assert len(frames) == 41
+    assert len(frames) == 61
+    assert frames[0].shape == (120, 160, 3)
     assert is_red(frames[0]).any()
     assert is_red(frames[-1]).any()
 

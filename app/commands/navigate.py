@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -24,8 +24,11 @@ from app.options import (
     Pose,
     PushOption,
     Reach,
+    Size,
+    SizeOption,
     load_walker,
     read_grid,
+    whole_number,
 )
 from app.output import (
     PICTURE_ENDINGS,
@@ -76,6 +79,12 @@ class NavigateOptions(PlanningOptions, GoalOptions):
 
     video: OptionalFile = None
     """Also write a film of the walk, such as walk.mp4; needs a GL library."""
+
+    video_size: SizeOption = Size(1280, 720)
+    """Width and height of the film in pixels, such as 640x360."""
+
+    fps: Annotated[int, whole_number(at_least=1, metavar="RATE")] = 30
+    """Pictures that the film shows a second, such as 60."""
 
     strip: OptionalFile = None
     """Also write a picture strip of the whole walk, such as walk.png; needs a GL library."""
@@ -242,7 +251,17 @@ def _draw(
     scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
     marks = footmarks_of(robot.step_model.foot, navigator.followed, navigator.placed)
     if options.video is not None:
-        write_film(options.video, scene.model, recording, marks=marks)
+        goal = f"{options.goal.x_m:g}, {options.goal.y_m:g}, {options.goal.yaw_rad:.3g} rad"
+        write_film(
+            options.video,
+            scene.model,
+            recording,
+            title=f"{robot.title} on {options.map} to {goal}",
+            width=options.video_size.width,
+            height=options.video_size.height,
+            frames_per_s=options.fps,
+            marks=marks,
+        )
     if options.strip is not None:
         size = {"columns": 4, "width": 400, "height": 360}
         write_strip(options.strip, scene.model, recording, view=FOLLOW, marks=marks, **size)

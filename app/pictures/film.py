@@ -11,14 +11,25 @@ import cv2
 import numpy as np
 
 from app.output import ProgressBar, replacing, write_picture
-from app.pictures.canvas import INK, Picture
-from app.pictures.rendering import FOLLOW, SIDE, Footmark, Recording, View, drawing
+from app.pictures.canvas import INK, LEFT, RIGHT, Picture
+from app.pictures.rendering import (
+    FOLLOW,
+    SIDE,
+    Footmark,
+    Recording,
+    View,
+    drawing,
+    resampled,
+)
 
 if TYPE_CHECKING:
     import mujoco
 
 
-FRAMES_PER_S = 20
+FRAMES_PER_S = 30
+WIDTH, HEIGHT = 1280, 720
+# Smaller films than this have no room for words.
+_LEAST_HEIGHT = 240
 
 
 def write_film(
@@ -26,37 +37,85 @@ def write_film(
     model: mujoco.MjModel,
     recording: Recording,
     *,
-    width: int = 640,
-    height: int = 480,
+    title: str = "",
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    frames_per_s: int = FRAMES_PER_S,
     marks: Sequence[Footmark] = (),
 ) -> int:
     """Writes the walk as a film that runs at the speed of the walk; returns the count of frames.
 
-    Width and height are even numbers: H.264 takes no others. `marks` are as in `drawing`.
+    It carries title, time and legend. Width and height are even numbers: H.264 takes no others.
+    `marks` are as in `drawing`.
 
     Raises:
         NoGlError: No GL library works here.
         InputError: The file cannot be written.
     """
     first_s, last_s = recording.time_s[[0, -1]]
-    count = int((last_s - first_s) * FRAMES_PER_S) + 1
-    moments = recording.nearest(first_s + np.arange(count) / FRAMES_PER_S)
+    count = int((last_s - first_s) * frames_per_s) + 1
+    shown = resampled(recording, first_s + np.arange(count) / frames_per_s)
     with (
-        drawing(model, recording, FOLLOW, width=width, height=height, marks=marks) as drawer,
+        drawing(model, shown, FOLLOW, width=width, height=height, marks=marks) as drawer,
         replacing(path) as temporary,
         ProgressBar("film", count) as bar,
         av.open(str(temporary), "w", format="mp4") as film,
     ):
-        stream = film.add_stream("libx264", rate=FRAMES_PER_S)
+        stream = film.add_stream("libx264", rate=frames_per_s)
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast", "crf": "22"}
-        for number, moment in enumerate(moments):
-            frame = av.VideoFrame.from_ndarray(drawer.draw(int(moment)), format="rgb24")
-            film.mux(stream.encode(frame))
+        for number, time_s in enumerate(shown.time_s):
+            picture = captioned(drawer.draw(number), title, f"{time_s:.1f} s")
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
             bar.update(number + 1)
         film.mux(stream.encode())
     return count
+
+
+def captioned(picture: Picture, title: str, time: str) -> Picture:
+    """The picture (H, W, 3), red green blue, with title and time above and the legend below.
+
+    What does not fit is left out; pictures of few rows stay as they are.
+    """
+    height, width = picture.shape[:2]
+    if height < _LEAST_HEIGHT:
+        return picture
+    picture = np.ascontiguousarray(picture)
+    font, size = cv2.FONT_HERSHEY_SIMPLEX, max(0.4, 0.6 * height / HEIGHT)
+    text_h = cv2.getTextSize("Xy", font, size, 1)[0][1]
+    band = 2 * text_h + 4
+    for rows in (slice(0, band), slice(height - band, height)):
+        picture[rows] = picture[rows] // 4 + np.uint8(191)
+    base = band // 2 + text_h // 2
+
+    def write(text: str, left: int, row: int) -> int:
+        """Writes a text and gives the column where it ends."""
+        cv2.putText(picture, text, (left, row), font, size, INK[::-1], 1, cv2.LINE_AA)
+        return left + int(cv2.getTextSize(text, font, size, 1)[0][0])
+
+    time_at = width - int(cv2.getTextSize(time, font, size, 1)[0][0]) - band // 2
+    write(time, time_at, base)
+    if band + int(cv2.getTextSize(title, font, size, 1)[0][0]) < time_at:
+        write(title, band // 2, base)
+    left, row = band // 2, height - band + base
+    for text, colour, share in _LEGEND:
+        ends = left + text_h + 8 + int(cv2.getTextSize(text, font, size, 1)[0][0])
+        if ends > width:
+            break
+        ink = tuple(int(share * v + (1 - share) * 230) for v in colour[::-1])
+        cv2.rectangle(picture, (left, row - text_h), (left + text_h, row), ink, -1)
+        left = write(text, left + text_h + 8, row) + band
+    return picture
+
+
+# Colours are blue, green, red; planned prints are pale.
+_LEGEND = (
+    ("left foot as placed", LEFT, 1.0),
+    ("right foot as placed", RIGHT, 1.0),
+    ("left as planned", LEFT, 0.4),
+    ("right as planned", RIGHT, 0.4),
+)
 
 
 def write_strip(
@@ -87,10 +146,10 @@ def write_strip(
     first_s = recording.time_s[0] if start_s is None else start_s
     last_s = recording.time_s[-1] if end_s is None else end_s
     times_s = np.linspace(first_s, last_s, frames)
-    with drawing(
-        model, recording, view, width=width, height=height, fine=True, marks=marks
-    ) as drawer:
-        tiles = [np.ascontiguousarray(drawer.draw(int(k))) for k in recording.nearest(times_s)]
+    moments = recording.nearest(times_s).tolist()
+    size = {"width": width, "height": height}
+    with drawing(model, recording, view, fine=True, marks=marks, moments=moments, **size) as drawer:
+        tiles = [np.ascontiguousarray(drawer.draw(k)) for k in moments]
     font, ink = cv2.FONT_HERSHEY_SIMPLEX, INK[::-1]
     for picture, time_s in zip(tiles, times_s, strict=True):
         cv2.putText(picture, f"{time_s:.2f} s", (8, 20), font, 0.5, ink, 1, cv2.LINE_AA)

@@ -1,4 +1,4 @@
-"""Frames of a recorded walk: camera, footprints on the floor, walls in the way made of glass."""
+"""Frames of a recorded walk: camera, footprints on the floor, obstacles in the way cut away."""
 
 from __future__ import annotations
 
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
     from app.navigation.navigator import Placed
 
-GLASS_ALPHA = 0.06
+# Height of what is left of an obstacle that is cut away, so that one sees where it stands.
+STUMP_M = 0.06
+# Boxes that touch are one obstacle, cut as a whole, unless that is longer than this, as walls are.
+_WHOLE_M = 1.5
+_MOST_BOXES = 4000  # beyond this each box is cut alone
 # Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
 _SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
 _SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)
@@ -48,7 +52,7 @@ class Boxes:
 def fixed_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> Boxes:
     """The box geoms of the model that are welded to the world; data holds their poses.
 
-    Not those that are ground: a robot stands on them, and glass would look like a hole.
+    Not those that are ground: a robot stands on them.
     """
     import mujoco
 
@@ -77,6 +81,36 @@ def hides(boxes: Boxes, eye_m: FloatArray, points_m: FloatArray) -> NDArray[np.b
     leave = np.maximum(one, other).min(axis=2)
     cut: NDArray[np.bool_] = ((enter <= leave) & (leave >= 0) & (enter <= 1)).any(axis=1)
     return cut
+
+
+def obstacles_of(boxes: Boxes) -> NDArray[np.intp]:
+    """The number (n,) of the obstacle that each box belongs to: those of small ones that touch.
+
+    Assumes boxes that are turned alike, as those of a map; others count as apart.
+    """
+    count = len(boxes.geom)
+    label = np.arange(count)
+    if not 0 < count <= _MOST_BOXES:
+        return label
+    frame = boxes.T_world_box[0]
+    alike = np.abs(boxes.T_world_box - frame).max(axis=(1, 2)) < 1e-6
+    centre, half = (boxes.centre_m @ frame)[:, :2], boxes.half_m[:, :2]
+    touch = alike[:, None] & alike
+    for axis in range(2):
+        apart = np.abs(centre[:, None, axis] - centre[:, axis])
+        touch &= apart <= half[:, None, axis] + half[:, axis] + 1e-3
+    while True:
+        least = np.where(touch, label, count).min(axis=1, initial=count)
+        least = np.minimum(label, least)
+        if np.array_equal(least, label):
+            break
+        label = least[least]
+    for number in np.unique(label):
+        mine = label == number
+        low, high = (centre - half)[mine].min(axis=0), (centre + half)[mine].max(axis=0)
+        if (high - low).max() > _WHOLE_M:
+            label[mine] = np.flatnonzero(mine)
+    return label
 
 
 def points_to_see(place_m: FloatArray, eye_m: FloatArray, ground_m: float = 0.0) -> FloatArray:
@@ -213,6 +247,25 @@ class Recording:
         return np.where(is_before, before, after)
 
 
+def resampled(recording: Recording, times_s: FloatArray) -> Recording:
+    """The walk at other times (N,), between its moments by straight lines; no place is jumped."""
+    after = np.clip(np.searchsorted(recording.time_s, times_s), 1, len(recording.time_s) - 1)
+    if len(recording.time_s) < 2:
+        after = np.zeros(len(times_s), np.intp)
+    before = np.maximum(after - 1, 0)
+    span_s = np.maximum(recording.time_s[after] - recording.time_s[before], 1e-9)
+    share = np.clip((times_s - recording.time_s[before]) / span_s, 0, 1)
+    first, last = recording.qpos[before], recording.qpos[after].copy()
+    # Both signs of a quaternion are the same rotation.
+    last[:, 3:7] *= np.where((first[:, 3:7] * last[:, 3:7]).sum(axis=1) < 0, -1, 1)[:, None]
+    qpos = first + share[:, None] * (last - first)
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    ground_m = np.broadcast_to(recording.ground_m, recording.time_s.shape)
+    return Recording(
+        qpos=qpos, time_s=times_s, ground_m=np.where(share < 0.5, ground_m[before], ground_m[after])
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class View:
     """Where the camera is, as seen from the robot.
@@ -279,7 +332,8 @@ class Drawer:
         data: mujoco.MjData,
         recording: Recording,
         view: View,
-        marks: Sequence[Footmark] = (),
+        marks: Sequence[Footmark],
+        moments: Sequence[int],
     ) -> None:
         import mujoco
 
@@ -298,8 +352,7 @@ class Drawer:
         has_meshes = np.any(renderer.model.geom_group == VISUAL_GROUP)
         self._shown.geomgroup[PHYSICS_GROUP] = not has_meshes
         mujoco.mj_kinematics(renderer.model, data)
-        self._walls = fixed_boxes(renderer.model, data)
-        self._alpha = np.array(renderer.model.geom_rgba[self._walls.geom, 3])
+        self._cut_away(fixed_boxes(renderer.model, data), moments)
 
     def draw(self, index: int) -> Picture:
         """The picture (height, width, 3), red green blue, of moment `index`."""
@@ -308,23 +361,37 @@ class Drawer:
         self._data.qpos[:] = self._recording.qpos[index]
         mujoco.mj_kinematics(self._renderer.model, self._data)
         mujoco.mj_camlight(self._renderer.model, self._data)
-        self._camera.lookat[:] = self._path.lookat_m[index]
-        self._camera.azimuth = self._path.azimuth_deg[index]
-        self._make_glass(index)
+        self._aim(index)
         self._renderer.update_scene(self._data, self._camera, self._shown)
         add_footmarks(self._renderer.scene, self._marks, float(self._recording.time_s[index]))
         return np.array(self._renderer.render())
 
-    def _make_glass(self, index: int) -> None:
-        """Makes the walls that hide the robot from the camera see-through, the others as were."""
-        camera = self._camera
-        eye_m = eye_position(camera.lookat, camera.distance, camera.azimuth, camera.elevation)
-        place_m, ground_m = np.array(self._data.qpos[:2]), self._ground_m[index]
-        points_m = points_to_see(place_m, eye_m, ground_m)
-        hidden_by = hides(self._walls, eye_m, points_m)
-        self._renderer.model.geom_rgba[self._walls.geom, 3] = np.where(
-            hidden_by, np.minimum(GLASS_ALPHA, self._alpha), self._alpha
-        )
+    def _aim(self, index: int) -> None:
+        self._camera.lookat[:] = self._path.lookat_m[index]
+        self._camera.azimuth = self._path.azimuth_deg[index]
+
+    def _cut_away(self, boxes: Boxes, moments: Sequence[int]) -> None:
+        """Leaves stumps of the obstacles that hide the robot from the camera at any moment.
+
+        They are cut in all pictures, so that nothing comes and goes.
+        """
+        import mujoco
+
+        hidden_by = np.zeros(len(boxes.geom), dtype=bool)
+        for index in moments:
+            self._aim(index)
+            camera, place_m = self._camera, self._recording.qpos[index, :2]
+            eye_m = eye_position(camera.lookat, camera.distance, camera.azimuth, camera.elevation)
+            points_m = points_to_see(place_m, eye_m, float(self._ground_m[index]))
+            hidden_by |= hides(boxes, eye_m, points_m)
+        label = obstacles_of(boxes)
+        model = self._renderer.model
+        for geom in boxes.geom[np.isin(label, label[hidden_by])]:
+            lowered_m = max(0.0, model.geom_size[geom, 2] - STUMP_M / 2)
+            down_m = np.zeros(3)
+            mujoco.mju_rotVecQuat(down_m, np.array([0, 0, -lowered_m]), model.geom_quat[geom])
+            model.geom_size[geom, 2] -= lowered_m
+            model.geom_pos[geom] += down_m
 
 
 @contextmanager
@@ -337,12 +404,14 @@ def drawing(
     height: int,
     fine: bool = False,
     marks: Sequence[Footmark] = (),
+    moments: Sequence[int] | None = None,
 ) -> Iterator[Drawer]:
     """Gives a Drawer of pictures of this size, with the footprints `marks` on the floor.
 
     Shadows, reflections and smooth edges are drawn when `fine`: without a graphics card they
-    take six times as long. Walls that hide the robot are drawn as glass. What this changes of the
-    model are rendering settings and colours.
+    take six times as long. Obstacles that hide the robot at any of the moments that are to be drawn
+    (None: all of the recording) are cut away; afterwards the model has them again. What else this
+    changes of the model are rendering settings.
 
     Raises:
         NoGlError: The renderer cannot be had. Was `prepare_gl` called before MuJoCo's import?
@@ -361,7 +430,13 @@ def drawing(
     except Exception as error:
         # Each backend fails in its own way: ImportError, RuntimeError, GLError, FatalError.
         raise NoGlError from error
+    whole = model.geom_size.copy(), model.geom_pos.copy()
+    if moments is None:
+        moments = range(len(recording.time_s))
     with renderer:
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             renderer.scene.flags[flag] = fine
-        yield Drawer(renderer, mujoco.MjData(model), recording, view, marks)
+        try:
+            yield Drawer(renderer, mujoco.MjData(model), recording, view, marks, moments)
+        finally:
+            model.geom_size[:], model.geom_pos[:] = whole

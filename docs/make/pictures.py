@@ -68,7 +68,7 @@ def main() -> None:
     words.add_argument("--goal", default="2,1,1.57")
     words.add_argument("--speed", type=float, default=2.0, help="times real time")
     words.add_argument("--frames-per-s", type=float, default=12.0)
-    words.add_argument("--width", type=int, default=480, help="pixels")
+    words.add_argument("--width", type=int, default=640, help="pixels")
     words.add_argument("--quality", type=int, default=60, help="0 to 100")
     words = kind("page", make_page_picture)
     words.add_argument("--map", default="maps/room.png")
@@ -115,7 +115,7 @@ def filmed(folder: Path, map_file: str, goal: str) -> Path:
     """A film of the walk, by the command of everybody."""
     film = folder / "walk.mp4"
     words = [sys.executable, "main.py", "navigate", "--map", map_file, "--goal", goal]
-    words += ["--out", str(folder), "--video", str(film)]
+    words += ["--out", str(folder), "--video", str(film), "--video-size", "960x540"]
     subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     return film
 
