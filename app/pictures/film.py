@@ -81,7 +81,7 @@ def captioned(picture: Picture, title: str, time: str) -> Picture:
     height, width = picture.shape[:2]
     if height < _LEAST_HEIGHT:
         return picture
-    picture = np.ascontiguousarray(picture)
+    picture = picture.copy()
     font, size = cv2.FONT_HERSHEY_SIMPLEX, max(0.4, 0.6 * height / HEIGHT)
     text_h = cv2.getTextSize("Xy", font, size, 1)[0][1]
     band = 2 * text_h + 4
