@@ -54,6 +54,9 @@ MAY_LOAD = {
     "av": ("app",),
     "tyro": ("app",),
     "rich": ("app",),
+    "mcap": ("app",),
+    "rosbags": ("app",),
+    "cyclonedds": ("app",),
 }
 
 

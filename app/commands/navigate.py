@@ -19,6 +19,7 @@ from app.options import (
     FolderOption,
     GoalOptions,
     OptionalFile,
+    OptionalFolder,
     PaceOption,
     PlanningOptions,
     Pose,
@@ -40,6 +41,7 @@ from app.output import (
     write_picture,
     write_text,
 )
+from app.ros.recording import Recorder, recording, require_recordable
 from app.workers import compile_planner
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import POLICY_FOLDER, Policy
@@ -92,6 +94,12 @@ class NavigateOptions(PlanningOptions, GoalOptions):
     gait_strip: OptionalFile = None
     """Also write a picture strip of one gait cycle, such as gait.png; needs a GL library."""
 
+    record: OptionalFile = None
+    """Also write the walk as an MCAP file, which Foxglove opens, such as walk.mcap."""
+
+    bag: OptionalFolder = None
+    """Also write the walk as a ROS 2 bag into this new folder, such as runs/bag."""
+
     json: bool = False
     """Print report.json on standard output, and nothing else there."""
 
@@ -131,14 +139,18 @@ def run(options: NavigateOptions) -> int:
     require_writable(options.video, option="--video", endings=(".mp4",))
     require_writable(options.strip, option="--strip", endings=PICTURE_ENDINGS)
     require_writable(options.gait_strip, option="--gait-strip", endings=PICTURE_ENDINGS)
+    if options.view and (options.record or options.bag):
+        raise InputError("--record and --bag write a walk that nobody steers: leave out --view")
+    require_recordable(options.record, options.bag)
     compiled_s = 0.0 if options.view else compile_planner(robot.step_model, options.search)
     with ExitStack() as stack:
         if options.view:
             navigator = stack.enter_context(viewed(options, grid, robot, policy))
             # Who watches may have sent the robot somewhere else.
             options = dataclasses.replace(options, goal=Pose(*navigator.goal))
+            recorder = None
         else:
-            navigator = walked(options, grid, robot, policy)
+            navigator, recorder = walked(options, grid, robot, policy, stack)
         plan = dataclasses.replace(
             navigator.plans[0],
             robot=robot.name,
@@ -153,6 +165,8 @@ def run(options: NavigateOptions) -> int:
             wall_time_s=time.perf_counter() - started,
         )
         _write(options, navigator, plan, report)
+        if recorder is not None:
+            recorder.ended(report.to_json())
         print(report.to_json() if options.json else report.summary() + "\n", end="", flush=True)
         if options.json and report.outcome is not Outcome.REACHED:
             say(f"{report.outcome}: {report.reason}")
@@ -164,9 +178,16 @@ def run(options: NavigateOptions) -> int:
 
 
 def walked(
-    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
-) -> Navigator:
-    """A walk from plan to end, showing how many steps are done."""
+    options: NavigateOptions,
+    grid: OccupancyGrid,
+    robot: Robot,
+    policy: Policy,
+    stack: ExitStack,
+) -> tuple[Navigator, Recorder | None]:
+    """A walk from plan to end, showing how many steps are done, and what records it.
+
+    The recording is whole when the stack is left.
+    """
     from app.navigation.navigator import Navigator, NavigatorConfig
 
     navigator = Navigator(
@@ -178,12 +199,15 @@ def walked(
         seed=options.seed,
         config=NavigatorConfig(planner=options.search, pace=options.pace, push_n_s=options.push),
     )
+    recorder = stack.enter_context(recording(navigator, record=options.record, bag=options.bag))
     plan = navigator.plan()
     with ProgressBar("walking, steps", len(plan)) as bar:
         while navigator.outcome is None:
             navigator.tick()
+            if recorder is not None:
+                recorder.ticked()
             bar.update(min(len(navigator.placed), len(plan)))
-    return navigator
+    return navigator, recorder
 
 
 def _require_reachable(options: NavigateOptions) -> None:

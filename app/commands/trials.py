@@ -19,6 +19,7 @@ from app.navigation.report import Outcome, Percentiles, installed_versions
 from app.options import (
     CountOption,
     FolderOption,
+    OptionalFile,
     PaceOption,
     PlanningOptions,
     PushOption,
@@ -29,6 +30,7 @@ from app.options import (
     read_grid,
 )
 from app.output import ExitCode, InputError, ProgressBar, make_folder, say, to_json, write_text
+from app.ros.recording import recording, require_recordable
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
 from maps.files import from_json
@@ -76,6 +78,9 @@ class TrialsOptions(PlanningOptions):
     out: FolderOption = Path("runs/trials")
     """Folder for trials.json, such as runs/trials; made when missing."""
 
+    record: OptionalFile = None
+    """Also write each walk as an MCAP file; walk.mcap makes walk-0.mcap, walk-1.mcap and so on."""
+
     resume: bool = False
     """Go on with the trials in the folder: what they have walked is not walked again."""
 
@@ -98,6 +103,7 @@ def run(options: TrialsOptions) -> int:
     grid = read_grid(options)
     robot, policy = load_walker(options.robot, options.policy, options.pace)
     make_folder(options.out, option="--out")
+    require_recordable(options.record, None)
     file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy)
     results = finished(file, settings)[: options.count] if options.resume else []
     trials = draw_trials(grid, options)
@@ -251,10 +257,16 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         seed=trial.seed,
         config=NavigatorConfig(planner=planner, pace=options.pace, push_n_s=options.push),
     )
-    navigator.plan()
-    while navigator.outcome is None:
-        navigator.tick()
-    report = navigator.report()
+    file = options.record and options.record.with_stem(f"{options.record.stem}-{trial.number}")
+    with recording(navigator, record=file, bag=None) as recorder:
+        navigator.plan()
+        while navigator.outcome is None:
+            navigator.tick()
+            if recorder is not None:
+                recorder.ticked()
+        report = navigator.report(map=str(options.map))
+        if recorder is not None:
+            recorder.ended(report.to_json())
     joined = report.outcome is not Outcome.NO_PATH
     if not joined:
         terrain = terrain_of(grid, options.unknown_is_free)
