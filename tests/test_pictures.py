@@ -10,6 +10,7 @@ import pytest
 from app.output import InputError, write_picture
 from app.pictures.canvas import (
     BODY,
+    INK,
     LEFT,
     PLANNED,
     RIGHT,
@@ -163,7 +164,35 @@ def test_a_large_map_is_cut_to_the_surroundings_of_the_walk():
     picture = walked_picture(grid, plan, plan.pose_world, body_xy_world)
     # 3 m of walk with 1.5 m on either side, at 240 pixels per metre.
     assert picture.shape[1] == 6 * 240
-    assert 4 * 240 < picture.shape[0] < 4 * 240 + 100
+    assert 4 * 240 < picture.shape[0] < 4 * 240 + 140
+
+
+def test_names_of_start_and_goal_cover_nothing_that_is_drawn():
+    canvas, bare = Canvas(free_map()), Canvas(free_map())
+    start, goal = (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0)
+    # Behind both, where their names would stand else, and above.
+    for x_m in (-1.4, 0.6):
+        canvas.line([[x_m, -1.0], [x_m, 1.0]], BODY, 0.02)
+    canvas.line([[-2.0, 0.3], [2.0, 0.3]], BODY, 0.02)
+    lines = (canvas.image == BODY).all(axis=2)
+    for picture in (canvas, bare):
+        picture.ends(start, goal)
+    assert (canvas.image[lines] == BODY).all()
+    # The names are there: without the lines they stand elsewhere.
+    assert (canvas.image != bare.image)[~lines].any()
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, math.pi / 2])
+def test_the_scale_bar_is_as_long_as_it_says(yaw_rad):
+    """1 m of 240 pixels does not fit beside the axes, half a metre does."""
+    grid = free_map((-2.0, -1.0, yaw_rad))
+    canvas = Canvas(grid)
+    assert canvas.px_per_m == 240
+    whole = with_legend(canvas.image, "", [], canvas=canvas)
+    band = whole[canvas.image.shape[0] :]
+    # Without the axes, to the right of it.
+    dark = (band == INK).all(axis=2)[:, : band.shape[1] - 110]
+    assert dark.sum(axis=1).max() == pytest.approx(0.5 * 240, abs=4)
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered in:RuntimeWarning")

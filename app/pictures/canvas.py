@@ -31,7 +31,6 @@ _FLOOR: Colour = (250, 250, 250)
 _WALL: Colour = (70, 65, 62)
 _UNKNOWN: Colour = (205, 205, 205)
 _GRID: Colour = (232, 232, 232)
-_GRID_TEXT: Colour = (90, 90, 90)
 # The higher the free floor, the darker; a rise of more than _EDGE_M between cells gets a line.
 _LOWEST, _HIGHEST, _EDGE = _FLOOR, (172, 204, 222), (140, 166, 182)
 _EDGE_M = 0.02
@@ -127,14 +126,16 @@ class Canvas:
         if grid.elevation_m is not None:
             heights = grid.elevation_m[first[1] : last[1], first[0] : last[0]][::-1]
             shade_floor(self.image, heights, cells == Cell.FREE, height_range(grid))
+        self.grid_m = 1.0 if extent.max() <= 25 else 5.0
         self._lines_every_metre(cells, extent)
+        self._bare = self.image.copy()
 
     def _lines_every_metre(self, cells: NDArray[np.uint8], extent: FloatArray) -> None:
         height, width = self.image.shape[:2]
         floor = (
             cv2.resize((cells == Cell.FREE).astype(np.uint8), (width, height), None, 0, 0, 0) > 0
         )
-        every_m = 1.0 if extent.max() <= 25 else 5.0
+        every_m = self.grid_m
         lines = np.zeros((height, width), bool)
         for axis, length in enumerate((width, height)):
             first = math.ceil(self._low_m[axis] / every_m) * every_m
@@ -145,7 +146,6 @@ class Canvas:
             else:
                 lines[height - 1 - px, :] = True
         self.image[lines & floor] = _GRID
-        self._text(f"grid {every_m:g} m", (8, height - 8), 0.42, _GRID_TEXT)
 
     def pixels(self, xy_world: ArrayLike) -> NDArray[np.int32]:
         """Pixels (..., 2) of points (..., 2), with _SUB bits of fraction."""
@@ -191,7 +191,18 @@ class Canvas:
         for number, pose in zip(plan.side, plan.pose_world, strict=True):
             self.foot(pose, Side(int(number)), model, opacity)
 
-    def arrow(self, pose_world: ArrayLike, colour: Colour, label: str) -> None:
+    def ends(self, start: ArrayLike, goal: ArrayLike) -> None:
+        """Start and goal (x_m, y_m, yaw_rad) as arrows, with names where nothing else is drawn.
+
+        To be called when all else is.
+        """
+        ends = ((start, START, "start"), (goal, GOAL, "goal"))
+        for pose, colour, _ in ends:
+            self.arrow(pose, colour)
+        for pose, colour, name in ends:
+            self._label_clear(name, np.asarray(pose, dtype=float)[:2], colour)
+
+    def arrow(self, pose_world: ArrayLike, colour: Colour) -> None:
         """A pose x_m, y_m, yaw_rad as an arrow from its point along its heading."""
         x_m, y_m, yaw_rad = (float(v) for v in np.asarray(pose_world, dtype=float))
         # Never smaller than can be seen, whatever the scale.
@@ -204,8 +215,6 @@ class Canvas:
         centre = self.pixels((x_m, y_m))
         radius = round(0.07 * unit * self.px_per_m * (1 << _SUB))
         cv2.circle(self.image, tuple(centre), radius, colour, -1, cv2.LINE_AA, _SUB)
-        behind = _placed(np.array([[-0.42, 0.0]]) * unit, x_m, y_m, yaw_rad)
-        self._label(label, self.pixels(behind)[0] >> _SUB, colour)
 
     def narrow_place(self, place: NarrowPlace) -> None:
         """A ring around a narrow place, never smaller than can be seen, and its width."""
@@ -216,12 +225,49 @@ class Canvas:
         below = (centre >> _SUB) + (0, round(radius_px) + 12)
         self._label(f"{place.width_m:.2f} m wide", below, NARROW)
 
+    @property
+    def _text_size(self) -> float:
+        """So that it can be read when the whole picture is shown 800 pixels wide."""
+        return 0.55 * max(1.0, self.image.shape[1] / 1000)
+
+    def _extent_of(self, text: str) -> tuple[int, int]:
+        (text_w, text_h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, self._text_size, 1)
+        return int(text_w), int(text_h)
+
     def _label(self, text: str, at_px: NDArray[np.int32], colour: Colour) -> None:
+        """Text with its middle at a pixel, or as near as it fits."""
         height, width = self.image.shape[:2]
-        (text_w, text_h), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)
+        text_w, text_h = self._extent_of(text)
         x = int(np.clip(at_px[0] - text_w // 2, 2, max(2, width - text_w - 2)))
         y = int(np.clip(at_px[1] + text_h // 2, text_h + 2, height - 4))
-        self._text(text, (x, y), 0.55, colour)
+        self._text(text, (x, y), self._text_size, colour)
+
+    def _label_clear(self, text: str, xy_world: ArrayLike, colour: Colour) -> None:
+        """Text near a point: the nearest place at which it covers least of what is drawn."""
+        height, width = self.image.shape[:2]
+        text_w, text_h = self._extent_of(text)
+        half = np.array([text_w // 2 + 6, text_h // 2 + 6])
+        drawn = (self.image != self._bare).any(axis=2)
+        # A wall is no good ground either, but better than what is drawn on the floor.
+        cost = drawn + 0.25 * (self._bare.min(axis=2) < 150)
+        total = np.pad(cost.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+        angles = np.arange(16) * (math.pi / 8)
+        away = np.column_stack([np.cos(angles), np.sin(angles)])
+        centre = self.pixels(xy_world) >> _SUB
+        best, least = centre, math.inf
+        for distance in np.arange(1, 12) * (text_h + 4):
+            for direction in away:
+                at = np.rint(centre + direction * (distance + half)).astype(np.int32)
+                (left, top), (right, bottom) = at - half, at + half
+                if left < 0 or top < 0 or right > width or bottom > height:
+                    continue
+                covered = total[bottom, right] - total[top, right]
+                covered += total[top, left] - total[bottom, left]
+                if covered < least:
+                    best, least = at, covered
+            if least == 0:
+                break
+        self._label(text, best, colour)
 
     def _text(self, text: str, at_px: tuple[int, int], size: float, colour: Colour) -> None:
         """Text with a white edge, so that it can be read on walls as well."""
@@ -243,10 +289,10 @@ def sole_corners(pose_world: ArrayLike, foot: FootShape) -> FloatArray:
     return _placed(corners * (foot.length_m, foot.width_m), x_m, y_m, yaw_rad)
 
 
-def put_text(picture: Picture, text: str, left_px: int, base_px: int) -> None:
+def put_text(picture: Picture, text: str, left_px: int, base_px: int, *, size: float = 0.5) -> None:
     """Writes dark text on light ground."""
     place = (left_px, base_px)
-    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+    cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, INK, 1, cv2.LINE_AA)
 
 
 def body_path(plan: FootstepPlan) -> FloatArray:
@@ -275,7 +321,18 @@ def draw_plan(
     *,
     shown_world: ArrayLike | None = None,
 ) -> Picture:
-    """Picture (H, W, 3), BGR: the map with feet, body path, start and goal.
+    """Picture (H, W, 3), BGR: the map with feet, body path, start and goal; see `plan_canvas`."""
+    return plan_canvas(plan, grid, model, shown_world=shown_world).image
+
+
+def plan_canvas(
+    plan: FootstepPlan,
+    grid: OccupancyGrid,
+    model: StepModel,
+    *,
+    shown_world: ArrayLike | None = None,
+) -> Canvas:
+    """The map with feet, body path, start and goal.
 
     Large maps are cropped to the surroundings of the plan, and any map to those of points
     shown_world (n, 2) where they are given. A plan that was not found shows start, goal, its first
@@ -295,8 +352,7 @@ def draw_plan(
     if not plan.found:
         for side, pose in zip(Side, feet_at(plan.goal, model.stance_width_m), strict=True):
             canvas.foot(pose, side, model, 0.12)
-    canvas.arrow(plan.start, START, "start")
-    canvas.arrow(plan.goal, GOAL, "goal")
     if plan.narrow_place is not None:
         canvas.narrow_place(plan.narrow_place)
-    return canvas.image
+    canvas.ends(plan.start, plan.goal)
+    return canvas

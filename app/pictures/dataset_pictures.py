@@ -85,8 +85,8 @@ def _tile(
     """One plan over its floor, as wide or as high as a tile, with a caption above."""
     canvas = Canvas(grid, around_world=around, margin_m=_MARGIN_M)
     # Below the feet: in so small a picture they would hide the first and last steps.
-    canvas.arrow(plan.start, START, "")
-    canvas.arrow(plan.goal, GOAL, "")
+    canvas.arrow(plan.start, START)
+    canvas.arrow(plan.goal, GOAL)
     canvas.line(body_path(plan)[:, :2], PATH, 0.02)
     canvas.feet(plan, model, 0.5)
     scale = _TILE_PX / max(canvas.image.shape[:2])

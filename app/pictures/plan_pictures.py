@@ -16,21 +16,20 @@ from numpy.typing import NDArray
 from app.output import replacing
 from app.pictures.canvas import (
     BODY,
-    GOAL,
+    INK,
     LEFT,
     PAPER,
     PATH,
     PLANNED,
     RIGHT,
-    START,
     Canvas,
     Colour,
     FloatArray,
     Picture,
-    draw_plan,
     height_colour,
     height_range,
     hex_of,
+    plan_canvas,
     put_text,
     sole_corners,
     surroundings,
@@ -44,6 +43,7 @@ _PALE, _OUTLINE = 230, (170, 170, 170)  # paler swatches than this get an outlin
 LEAST_WIDTH_PX = 640
 LINE_HEIGHT_PX = 26
 _GAP_PX = 16
+_KEY_PX = 260  # room for scale and axes
 FEET = {Side.LEFT: hex_of(LEFT), Side.RIGHT: hex_of(RIGHT)}
 GROUND = ("#ffffff", "#3c3f45", "#c9ccd1")  # free, occupied, unknown
 
@@ -64,26 +64,67 @@ _PLAN_LEGEND = [
 ]
 
 
-def with_legend(picture: Picture, title: str, legend: Sequence[Swatch]) -> Picture:
-    """The picture (H, W, 3) with title and legend below; narrow ones get paper to the right."""
+def with_legend(
+    picture: Picture, title: str, legend: Sequence[Swatch], *, canvas: Canvas | None = None
+) -> Picture:
+    """The picture (H, W, 3) with title and legend below; narrow ones get paper to the right.
+
+    Of a canvas its scale and the axes of the map are shown too. On large pictures all is larger.
+    """
     width_px = max(LEAST_WIDTH_PX, picture.shape[1])
-    lines = textwrap.wrap(title, width_px // 10)
-    rows = _rows(legend, width_px)
-    height_px = picture.shape[0]
-    band_px = (len(lines) + len(rows)) * LINE_HEIGHT_PX + 12
-    whole = np.full((height_px + band_px, width_px, 3), PAPER, np.uint8)
+    unit = 1.0 if canvas is None else max(1.0, width_px / 1000)
+    key_px = 0 if canvas is None else round(_KEY_PX * unit)
+    lines = textwrap.wrap(title, int((width_px - key_px) / (10 * unit)))
+    rows = _rows(legend, int((width_px - key_px) / unit))
+    line_px, height_px = round(LINE_HEIGHT_PX * unit), picture.shape[0]
+    count = max(len(lines) + len(rows), 0 if canvas is None else 2)
+    whole = np.full((height_px + count * line_px + 12, width_px, 3), PAPER, np.uint8)
     whole[:height_px, : picture.shape[1]] = picture
     for number, line in enumerate(lines):
-        put_text(whole, line, 12, height_px + (number + 1) * LINE_HEIGHT_PX - 4)
+        base_px = height_px + (number + 1) * line_px - round(4 * unit)
+        put_text(whole, line, 12, base_px, size=0.5 * unit)
     for number, row in enumerate(rows, start=len(lines)):
-        top_px = height_px + number * LINE_HEIGHT_PX + 7
-        for left_px, swatch in row:
-            corners = (left_px, top_px), (left_px + 22, top_px + 11)
+        top_px = height_px + number * line_px + round(7 * unit)
+        for left, swatch in row:
+            left_px, (w, h) = round(left * unit), (round(22 * unit), round(11 * unit))
+            corners = (left_px, top_px), (left_px + w, top_px + h)
             cv2.rectangle(whole, *corners, swatch.colour, -1 if swatch.filled else 2, cv2.LINE_AA)
             if swatch.filled and min(swatch.colour) > _PALE:
                 cv2.rectangle(whole, *corners, _OUTLINE, 1, cv2.LINE_AA)
-            put_text(whole, swatch.text, left_px + 30, top_px + 12)
+            text_px = left_px + round(30 * unit)
+            put_text(whole, swatch.text, text_px, top_px + h + 1, size=0.5 * unit)
+    if canvas is not None:
+        _draw_key(whole, canvas, (width_px - key_px, height_px), unit)
     return whole
+
+
+def _draw_key(whole: Picture, canvas: Canvas, at_px: tuple[int, int], unit: float) -> None:
+    """Scale bar and the directions of x and y of the map's frame, from a corner at_px."""
+    left, top = at_px
+    # The longest round length that fits.
+    fits_m = (_KEY_PX - 110) * unit / canvas.px_per_m
+    lengths_m = [m * 10.0**k for k in range(-3, 4) for m in (1, 2, 5)]
+    bar_m = max([m for m in lengths_m if m <= fits_m], default=lengths_m[0])
+    bar_px, base, tick = round(bar_m * canvas.px_per_m), top + round(36 * unit), round(5 * unit)
+    thick = max(2, round(2 * unit))
+    for ends in (
+        ((left, base), (left + bar_px, base)),
+        ((left, base - tick), (left, base + tick)),
+        ((left + bar_px, base - tick), (left + bar_px, base + tick)),
+    ):
+        cv2.line(whole, *ends, INK, thick)
+    text = f"{bar_m:g} m; grid {canvas.grid_m:g} m"
+    put_text(whole, text, left, base - round(10 * unit), size=0.5 * unit)
+    centre = np.array([whole.shape[1] - round(48 * unit), top + round(38 * unit)])
+    axes = canvas.pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])).astype(float)
+    for name, axis in zip("xy", axes[1:] - axes[0], strict=True):
+        along = axis / np.linalg.norm(axis)
+        tip = np.rint(centre + along * 20 * unit).astype(int)
+        tail = np.rint(centre - 8 * unit * along).astype(int)
+        cv2.arrowedLine(whole, tuple(tail), tuple(tip), INK, thick, cv2.LINE_AA, tipLength=0.3)
+        (text_w, text_h), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * unit, 1)
+        at = np.rint(centre + along * 29 * unit + (-text_w / 2, text_h / 2)).astype(int)
+        put_text(whole, name, int(at[0]), int(at[1]), size=0.5 * unit)
 
 
 def _rows(legend: Sequence[Swatch], width_px: int) -> list[list[tuple[int, Swatch]]]:
@@ -102,7 +143,9 @@ def _rows(legend: Sequence[Swatch], width_px: int) -> list[list[tuple[int, Swatc
 
 def plan_picture(grid: OccupancyGrid, model: StepModel, plan: FootstepPlan) -> Picture:
     """The plan alone, (H, W, 3)."""
-    return with_legend(draw_plan(plan, grid, model), _title(plan), _PLAN_LEGEND + _heights(grid))
+    canvas = plan_canvas(plan, grid, model)
+    legend = _PLAN_LEGEND + _heights(grid)
+    return with_legend(canvas.image, _title(plan), legend, canvas=canvas)
 
 
 def walk_picture(
@@ -129,15 +172,14 @@ def walk_picture(
         canvas.polygon(sole_corners(pose_world, model.foot), PLANNED, width_m=0.008)
     if len(body_xy_world) > 1:
         canvas.line(body_xy_world, BODY, 0.02)
-    canvas.arrow(plan.start, START, "start")
-    canvas.arrow(plan.goal, GOAL, "goal")
+    canvas.ends(plan.start, plan.goal)
     legend = [
         Swatch(colour=LEFT, text="left foot as placed"),
         Swatch(colour=RIGHT, text="right foot as placed"),
         Swatch(colour=PLANNED, text="feet as planned", filled=False),
         Swatch(colour=BODY, text="body"),
     ]
-    return with_legend(canvas.image, _title(plan), legend + _heights(grid))
+    return with_legend(canvas.image, _title(plan), legend + _heights(grid), canvas=canvas)
 
 
 def _heights(grid: OccupancyGrid) -> list[Swatch]:
@@ -203,14 +245,11 @@ def refinement_picture(
     shown_world = np.vstack(
         [after.start_feet_world[:, :2], before.pose_world[:, :2], after.pose_world[:, :2]]
     )
-    panels = [
-        with_legend(
-            draw_plan(plan, grid, model, shown_world=shown_world),
-            f"{when}: {len(plan)} steps, cost {plan.cost_m:.2f} m",
-            _PLAN_LEGEND,
-        )
-        for when, plan in (("before", before), ("after", after))
-    ]
+    panels = []
+    for when, plan in (("before", before), ("after", after)):
+        canvas = plan_canvas(plan, grid, model, shown_world=shown_world)
+        title = f"{when}: {len(plan)} steps, cost {plan.cost_m:.2f} m"
+        panels.append(with_legend(canvas.image, title, _PLAN_LEGEND, canvas=canvas))
     # The same part of the map, but a long title may take two lines.
     left, right = panels
     width_px = left.shape[1] + _GAP_PX + right.shape[1]
