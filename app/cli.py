@@ -64,6 +64,10 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "plan footsteps from a start to a goal on a map",
             "plan --map maps/room.png --goal 2,1,1.57 --image plan.png",
         ),
+        "ros2": Command(
+            "be a ROS 2 node: map and goal on topics, a robot that walks there",
+            "ros2 --robot jvrc1",
+        ),
         "serve": Command(
             "open a web page: click a goal and watch the robot walk there",
             "serve --map maps/room.png",

@@ -58,6 +58,23 @@ def definition(kind: str) -> str:
     return str(_store().generate_msgdef(kind, ros_version=2)[0])
 
 
+def field_types(kind: str) -> list[tuple[str, tuple[str, Any, int]]]:
+    """Names and types of the message's fields.
+
+    A type is ("base", "float64", 0), ("name", "std_msgs/msg/Header", 0), or ("array", type, N) and
+    ("sequence", type, 0) of another type.
+    """
+
+    def of(field: Any) -> tuple[str, Any, int]:
+        shape, inside = field
+        name = shape.name.lower()
+        if name in ("array", "sequence"):
+            return name, of(inside[0]), inside[1]
+        return name, inside[0] if name == "base" else inside, 0
+
+    return [(name, of(field)) for name, field in _store().fielddefs[kind][1]]
+
+
 def type_hash(kind: str) -> str:
     """RIHS01 hash of the message's definition, by which ROS 2 from Iron on tells types apart."""
     return str(_store().hash_rihs01(kind))
@@ -266,13 +283,15 @@ class FootprintMarkers:
         return new("visualization_msgs/msg/MarkerArray", markers=markers)
 
 
-def path(plan: FootstepPlan, time_ns: int) -> Any:
-    """A Path: the middle between the feet before the first step and after each."""
-    feet = np.array(plan.start_feet_world)
-    poses = [_middle(feet)]
-    for side, where in zip(plan.side, plan.pose_world, strict=True):
-        feet[side] = where
-        poses.append(_middle(feet))
+def path(plan: FootstepPlan | None, time_ns: int) -> Any:
+    """A Path: the middle between the feet before the first step and after each; empty for None."""
+    poses = []
+    if plan is not None:
+        feet = np.array(plan.start_feet_world)
+        poses = [_middle(feet)]
+        for side, where in zip(plan.side, plan.pose_world, strict=True):
+            feet[side] = where
+            poses.append(_middle(feet))
     stamped = [
         new("geometry_msgs/msg/PoseStamped", header=header(time_ns), pose=where) for where in poses
     ]
@@ -300,16 +319,19 @@ class WalkStream:
         self._last: Placed | None = None
         self._outcome: object = None
 
-    def latched(self, grid: OccupancyGrid, time_ns: int) -> Iterator[Told]:
-        """What stays as it is: map, robot description and fixed frames."""
-        yield told_map(grid, time_ns)
+    def latched(self, grid: OccupancyGrid | None, time_ns: int) -> Iterator[Told]:
+        """What stays as it is: map, if it is given, robot description and fixed frames."""
+        if grid is not None:
+            yield told_map(grid, time_ns)
         kind = "std_msgs/msg/String"
         yield Told("robot_description", kind, text(self._frames.urdf), is_latched=True)
         fixed = transforms(self._frames.fixed(), time_ns)
         yield Told("tf_static", "tf2_msgs/msg/TFMessage", fixed, is_latched=True)
 
-    def ticked(self, navigator: Navigator, time_ns: int) -> Iterator[Told]:
-        """The robot's state, and what has changed of plan and footprints since the last time."""
+    def ticked(
+        self, navigator: Navigator, time_ns: int, shown: FootstepPlan | None = None
+    ) -> Iterator[Told]:
+        """The robot's state, and what `changes` gives."""
         self._frames.place(navigator.qpos[-1])
         moving = transforms(self._frames.moving(), time_ns)
         yield Told("tf", "tf2_msgs/msg/TFMessage", moving)
@@ -319,7 +341,7 @@ class WalkStream:
         cursor = navigator.walker.cursor
         phase = float(math.atan2(*cursor.clock[0]) % (2 * math.pi)) / (2 * math.pi)
         yield Told("gait_phase", "std_msgs/msg/Float64", new("std_msgs/msg/Float64", data=phase))
-        yield from self.changes(navigator, time_ns)
+        yield from self.changes(navigator, time_ns, shown)
 
     def _forces(self, navigator: Navigator, time_ns: int) -> Iterator[Told]:
         sensors = navigator.scene.sensors.ground_force_world
@@ -335,14 +357,21 @@ class WalkStream:
             message = new("geometry_msgs/msg/WrenchStamped", header=head, wrench=wrench)
             yield Told(f"{SIDES[side]}_foot_force", "geometry_msgs/msg/WrenchStamped", message)
 
-    def changes(self, navigator: Navigator, time_ns: int) -> Iterator[Told]:
-        """What is new of plan, footprints and outcome since this was last asked."""
+    def changes(
+        self, navigator: Navigator, time_ns: int, shown: FootstepPlan | None = None
+    ) -> Iterator[Told]:
+        """What is new of plan, footprints and outcome since this was last asked.
+
+        shown: the plan to be seen, if not the one that is followed.
+        """
         placed = navigator.placed
-        plan = navigator.followed[-1][1] if navigator.followed else None
+        plan = shown
+        if plan is None and navigator.followed:
+            plan = navigator.followed[-1][1]
         if plan is not self._plan:
             self._plan = plan
+            yield from self._told_plan(plan, time_ns)
             if plan is not None:
-                yield from self.told_plan(plan, time_ns)
                 yield _event(navigator, "plan", steps=len(plan), cost_m=round(plan.cost_m, 4))
         last = placed[-1] if placed else None
         if last is not self._last:
@@ -364,9 +393,11 @@ class WalkStream:
             if navigator.outcome is not None:
                 yield _event(navigator, str(navigator.outcome), reason=navigator.reason)
 
-    def told_plan(self, plan: FootstepPlan, time_ns: int) -> Iterator[Told]:
-        """Footprints and path of a plan."""
-        markers = self._planned.show(plan.side.tolist(), plan.pose_world, time_ns)
+    def _told_plan(self, plan: FootstepPlan | None, time_ns: int) -> Iterator[Told]:
+        """Footprints and path of a plan; none of none."""
+        side = [] if plan is None else plan.side.tolist()
+        poses = np.zeros((0, 4)) if plan is None else plan.pose_world
+        markers = self._planned.show(side, poses, time_ns)
         kind = "visualization_msgs/msg/MarkerArray"
         yield Told("footsteps", kind, markers, is_latched=True)
         yield Told("path", "nav_msgs/msg/Path", path(plan, time_ns), is_latched=True)
