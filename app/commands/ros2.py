@@ -30,7 +30,7 @@ class Ros2Options(PlanningOptions):
     """
 
     map: OptionalFile = None  # type: ignore[assignment]
-    """The map at first: an image with its YAML beside it, or the YAML; none: from the topic map."""
+    """The map at first, such as maps/room.png; without it the topic map gives the first one."""
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
     """Where the robot stands at first, such as -1,2,0; initialpose puts it elsewhere."""
@@ -42,7 +42,7 @@ class Ros2Options(PlanningOptions):
     """Speak to other machines too, and not to this one alone."""
 
     interface: Annotated[str | None, text("NAME")] = None
-    """With --network, the one network interface to use, such as eth0."""
+    """The one network interface to use, such as eth0; goes with the switch network."""
 
     sim_time: bool = False
     """Stamp messages with simulated time, and publish it as clock."""

@@ -79,7 +79,7 @@ class TrialsOptions(PlanningOptions):
     """Folder for trials.json, such as runs/trials; made when missing."""
 
     record: OptionalFile = None
-    """Also write each walk as an MCAP file; walk.mcap makes walk-0.mcap, walk-1.mcap and so on."""
+    """Also write MCAP files, such as walk.mcap; each walk has its own: walk-0.mcap, walk-1.mcap..."""
 
     resume: bool = False
     """Go on with the trials in the folder: what they have walked is not walked again."""
