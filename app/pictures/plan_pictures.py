@@ -107,12 +107,12 @@ def _draw_key(whole: Picture, canvas: Canvas, at_px: tuple[int, int], unit: floa
     bar_m = max([m for m in lengths_m if m <= fits_m], default=lengths_m[0])
     bar_px, base, tick = round(bar_m * canvas.px_per_m), top + round(36 * unit), round(5 * unit)
     thick = max(2, round(2 * unit))
-    for ends in (
+    for begin, end in (
         ((left, base), (left + bar_px, base)),
         ((left, base - tick), (left, base + tick)),
         ((left + bar_px, base - tick), (left + bar_px, base + tick)),
     ):
-        cv2.line(whole, *ends, INK, thick)
+        cv2.line(whole, begin, end, INK, thick)
     text = f"{bar_m:g} m; grid {canvas.grid_m:g} m"
     put_text(whole, text, left, base - round(10 * unit), size=0.5 * unit)
     centre = np.array([whole.shape[1] - round(48 * unit), top + round(38 * unit)])
