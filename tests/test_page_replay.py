@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from dataclasses import replace
 
@@ -64,6 +65,8 @@ def story() -> Story:
         plans=((0.0, plan),),
         placed=placed,
         goal=(0.2, 0, 0),
+        title="A walk & more",
+        outcome="reached </script> & all",
     )
 
 
@@ -75,6 +78,21 @@ def page(story, tmp_path_factory) -> str:
     grid = OccupancyGrid(cells=cells, resolution_m=0.05, origin=(-1.0, -1.0, 0.0))
     write_replay(path, grid, get_robot("jvrc1"), story)
     return path.read_text(encoding="utf-8")
+
+
+def test_a_panel_tells_of_steps_errors_and_outcome(page):
+    (text,) = re.findall(r"const walk = (\{.*?\}), at = ", page)
+    told = json.loads(text)
+    # Left comes down 0.5 s, right 1 s after the start, both where they were asked to.
+    assert told["steps"] == [[0.5, 0, 0.0], [1.0, 1, 0.0]]
+    assert told["outcome"] == "reached </script> & all"
+    assert told["end"] == pytest.approx(2.0)
+    assert (told["time"][0], told["time"][-1]) == (0.0, 2.0)
+    assert len(told["pelvis"]) == len(told["time"]) == 81
+    assert told["pelvis"][40] == pytest.approx(0.8086, abs=1e-3)
+    assert page.count("<title>A walk &amp; more</title>") == 1
+    assert "<summary>A walk &amp; more</summary>" in page
+    assert "LEFT" not in page[page.index('<details id="walk"') :]
 
 
 def test_it_plays_as_long_as_the_walk_and_a_little_more(page):

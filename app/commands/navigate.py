@@ -263,6 +263,8 @@ def _draw(
             plans=tuple(navigator.followed),
             placed=tuple(navigator.placed),
             goal=options.goal,
+            title=f"Footfall: {robot.title} on {options.map}",
+            outcome=outcome_of(navigator),
         )
         write_replay(options.html, grid, robot, story)
     files = (options.html, options.video, options.strip, options.gait_strip)
@@ -296,6 +298,16 @@ def _draw(
             options.gait_strip, scene.model, recording, start_s=middle_s, end_s=end_s, marks=marks
         )
     return written
+
+
+def outcome_of(navigator: Navigator) -> str:
+    """How a walk ended, in one line."""
+    assert navigator.outcome is not None
+    if navigator.reason:
+        return f"{navigator.outcome}: {navigator.reason}"
+    distance_m, angle_rad = navigator.goal_error
+    degrees = math.degrees(angle_rad)
+    return f"{navigator.outcome}, {100 * distance_m:.1f} cm and {degrees:.1f}° from the goal"
 
 
 @contextlib.contextmanager

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import html
+import json
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -10,6 +13,7 @@ import numpy as np
 
 from app.navigation.navigator import Placed
 from app.output import ProgressBar, write_text
+from app.pictures.canvas import LEFT, RIGHT, hex_of
 from app.pictures.rendering import Recording
 from app.viewer.camera import aim_pages, overview
 from app.viewer.markers import Footprints, Marker
@@ -22,18 +26,24 @@ from sim.robot import Robot
 FRAMES_PER_S = 20.0
 # A long walk gets fewer frames, so that the file stays one that can be sent by mail.
 MAX_FRAMES = 1600
+_PLOTTED = 600  # points of a plot
 # Of the window in which it is likely to be watched.
 _ASPECT = 1.6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Story:
-    """What happened: the walk, the plans with the times at which they were taken up, the steps."""
+    """What happened: the walk, the plans with the times at which they were taken up, the steps.
+
+    `title` says who walked where, `outcome` how it ended.
+    """
 
     recording: Recording
     plans: tuple[tuple[float, FootstepPlan], ...]
     placed: tuple[Placed, ...]
     goal: tuple[float, ...]
+    title: str = "Footfall"
+    outcome: str = ""
 
 
 def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) -> None:
@@ -67,7 +77,33 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
         page = recorder.as_html()
     finally:
         server.stop()
-    write_text(path, page)
+    title = f"<title>{html.escape(story.title)}</title>"
+    page = re.sub(r"<title>[^<]*</title>", lambda _: title, page, count=1)
+    head, tail = page.rsplit("</body>", 1)
+    write_text(path, f"{head}{panel_of(story)}</body>{tail}")
+
+
+def panel_of(story: Story) -> str:
+    """The part of the page that tells of the moment shown: numbers, legend and plots over time.
+
+    It follows the player's slider. Lines: height of the pelvis over the ground; bars: how far each
+    foot came down from its step, at the time at which it did.
+    """
+    recording = story.recording
+    shown = np.unique(np.linspace(0, len(recording.time_s) - 1, _PLOTTED).round().astype(int))
+    ground_m = np.broadcast_to(recording.ground_m, recording.time_s.shape)
+    data = {
+        "time": recording.time_s[shown].round(2).tolist(),
+        "pelvis": (recording.qpos[:, 2] - ground_m)[shown].round(4).tolist(),
+        "steps": [[s.time_s, int(s.side), round(100 * s.error_m, 2)] for s in story.placed],
+        "end": float(recording.time_s[-1]),
+        "outcome": story.outcome,
+    }
+    # No text in it can end the script.
+    text = json.dumps(data).replace("<", "\\u003c")
+    left, right = hex_of(LEFT), hex_of(RIGHT)
+    filled = _PANEL.replace("TITLE", html.escape(story.title)).replace("DATA", text)
+    return filled.replace("LEFT", left).replace("RIGHT", right)
 
 
 def frame_indices(recording: Recording) -> np.ndarray:
@@ -101,3 +137,74 @@ class _Stage:
         self._footprints.placed(side, poses)
         # Four points a second make a smooth path.
         self._footprints.path(story.recording.qpos[: moment + 1 : 10, :2])
+
+
+_PANEL = """
+<style>
+#walk { position: fixed; right: 12px; top: 12px; width: 300px; z-index: 4; padding: 8px 12px;
+  font: 13px/1.5 system-ui, sans-serif; color: #2d3036; background: #ffffffe6; border-radius: 6px;
+  box-shadow: 0 1px 4px #0003; }
+#walk summary { font-weight: 600; cursor: pointer; overflow-wrap: anywhere; }
+#walk table { border-spacing: 0; font-variant-numeric: tabular-nums; }
+#walk td:first-child { color: #6b7078; padding-right: 10px; }
+#walk i { display: inline-block; width: 18px; height: 10px; margin-right: 6px; }
+#walk svg { width: 100%; height: 56px; background: #f3f4f6; display: block; }
+@media (max-width: 700px) { #walk { width: 200px; font-size: 11px; } }
+</style>
+<details id="walk" open>
+<summary>TITLE</summary>
+<table>
+<tr><td>time</td><td id="walk-time"></td></tr>
+<tr><td>step</td><td id="walk-step"></td></tr>
+<tr><td>foot from its step</td><td id="walk-error"></td></tr>
+<tr><td>outcome</td><td id="walk-outcome"></td></tr>
+</table>
+<div><i style="background: LEFT"></i>left foot <i style="background: RIGHT; margin-left: 12px"></i>
+right foot<br>pale as planned, full as placed</div>
+<div>pelvis over the ground, <span id="walk-pelvis"></span></div><svg id="walk-height"></svg>
+<div>feet from their steps, up to <span id="walk-most"></span></div><svg id="walk-errors"></svg>
+</details>
+<script>
+(() => {
+  const walk = DATA, at = id => document.getElementById('walk-' + id);
+  const width = 276, height = 56, colours = ['LEFT', 'RIGHT'], end = Math.max(walk.end, 1e-9);
+  if (innerWidth < 700) document.getElementById('walk').open = false;
+  const low = Math.min(...walk.pelvis), high = Math.max(...walk.pelvis);
+  const most = Math.max(0.1, ...walk.steps.map(step => step[2]));
+  const x = time => (width * time / end).toFixed(1);
+  const y = share => (height - 4 - share * (height - 8)).toFixed(1);
+  const line = walk.time.map((time, k) =>
+    x(time) + ',' + y((walk.pelvis[k] - low) / Math.max(high - low, 1e-3))).join(' ');
+  const cursor = '<line class="now" y1="0" y2="' + height + '" stroke="#2d3036"/>';
+  const bars = walk.steps.map(([time, side, error]) => '<line x1="' + x(time) + '" x2="' + x(time)
+    + '" y1="' + y(0) + '" y2="' + y(error / most) + '" stroke-width="4" stroke="'
+    + colours[side] + '"/>').join('');
+  for (const [id, drawn] of [['height',
+    '<polyline fill="none" stroke="#70607a" points="' + line + '"/>'], ['errors', bars]]) {
+    at(id).setAttribute('viewBox', '0 0 ' + width + ' ' + height);
+    at(id).setAttribute('preserveAspectRatio', 'none');
+    at(id).innerHTML = drawn + cursor;
+  }
+  at('pelvis').textContent = low.toFixed(2) + ' to ' + high.toFixed(2) + ' m';
+  at('most').textContent = most.toFixed(1) + ' cm';
+  let shown = -1;
+  const show = () => {
+    const slider = document.querySelector('[role=slider]');
+    const time = Math.min(slider ? Number(slider.getAttribute('aria-valuenow')) : 0, walk.end);
+    if (time !== shown) {
+      shown = time;
+      const done = walk.steps.filter(step => step[0] <= time + 1e-6), last = done[done.length - 1];
+      at('time').textContent = time.toFixed(1) + ' of ' + walk.end.toFixed(1) + ' s';
+      at('step').textContent = done.length + ' of ' + walk.steps.length;
+      at('error').textContent = last ? last[2].toFixed(1) + ' cm' : 'none yet';
+      at('outcome').textContent = time >= walk.end - 0.05 ? walk.outcome : 'walking';
+      for (const now of document.querySelectorAll('#walk .now')) {
+        now.setAttribute('x1', x(time)); now.setAttribute('x2', x(time));
+      }
+    }
+    requestAnimationFrame(show);
+  };
+  show();
+})();
+</script>
+"""

@@ -33,7 +33,8 @@ from app.output import replacing, write_picture
 from app.pictures.film import tile
 from controller.curriculum import Stage
 from controller.env import TaskConfig
-from controller.gym_env import WIDTH, GymTask
+from controller.gym_env import GymTask
+from controller.gym_render import WIDTH
 from controller.policy import Policy, load_policy
 from sim.robots import get_robot
 
