@@ -79,7 +79,7 @@ class TrialsOptions(PlanningOptions):
     """Folder for trials.json, such as runs/trials; made when missing."""
 
     record: OptionalFile = None
-    """Also write MCAP files, such as walk.mcap; each walk has its own: walk-0.mcap, walk-1.mcap..."""
+    """Also write an MCAP file a walk, such as walk.mcap: walk-0.mcap, walk-1.mcap and so on."""
 
     resume: bool = False
     """Go on with the trials in the folder: what they have walked is not walked again."""
