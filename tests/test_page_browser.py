@@ -7,6 +7,7 @@ skipped where one of them is missing.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import re
 import shutil
@@ -223,5 +224,10 @@ def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
             break
     else:
         pytest.fail("the slider never stayed where it was clicked")
+    # The walk is over there: the panel tells all steps and how it ended.
+    done, _, steps = visit.page.inner_text("#walk-step").split()
+    assert done == steps == str(len(json.loads((tmp_path / "plan.json").read_text())["steps"]))
+    assert visit.page.inner_text("#walk-outcome").startswith("reached, ")
+    assert visit.page.inner_text("#walk-error").endswith(" cm")
     assert visit.errors == []
     assert visit.hosts <= {""}
