@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from app.options import (
@@ -31,6 +32,8 @@ from app.output import (
 from app.workers import compile_planner
 from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import FootstepPlan
+from planner.robot_model import StepModel
+from planner.step_model_file import StepModelError, load_step_model
 
 FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
 
@@ -42,6 +45,9 @@ class PlanOptions(PlanningOptions, GoalOptions):
     The exit code is 0 when a plan is found, 2 when the input is wrong, and 3 when there is no
     plan; then the reason says which foot or what stands in the way.
     """
+
+    step_model: OptionalFile = None
+    """Plan for the feet, limits and costs in this file and no robot, such as nao.yaml."""
 
     via: PosesOption = ()
     """Poses to stand at on the way, with colons between, such as 1,0,0:2,0,1.57."""
@@ -87,8 +93,8 @@ def run(options: PlanOptions) -> int:
     if options.refine_image is not None and not options.refine:
         raise InputError("--refine-image shows what refinement does: leave out --no-refine")
     search = _search(options)
-    robot = find_robot_with_limits(options.robot, options.policy)
-    model, grid = robot.step_model, read_grid(options)
+    name, model = _step_model(options)
+    grid = read_grid(options)
 
     # Here and not above: the compiled search takes a second to load, bad input need not wait.
     from planner.planner import Planner, plan_through
@@ -98,7 +104,7 @@ def run(options: PlanOptions) -> int:
 
     compile_planner(model, search)
     planner = Planner(grid, model, search)
-    plan = dataclasses.replace(planned(planner), robot=robot.name, map=str(options.map))
+    plan = dataclasses.replace(planned(planner), robot=name, map=str(options.map))
     text = plan.to_json() + "\n"
     if options.out is not None:
         write_text(options.out, text)
@@ -123,6 +129,23 @@ def run(options: PlanOptions) -> int:
     if not plan.found:
         say(f"no plan: {plan.status}: {plan.reason}")
     return ExitCode.DONE if plan.found else ExitCode.NO_PLAN
+
+
+def _step_model(options: PlanOptions) -> tuple[str, StepModel]:
+    """Whom to plan for: a robot of the project, or a YAML file in its place."""
+    file = options.step_model
+    if file is None and options.robot.endswith((".yaml", ".yml")):
+        file = Path(options.robot)
+    if file is None:
+        robot = find_robot_with_limits(options.robot, options.policy)
+        return robot.name, robot.step_model
+    if options.policy is not None:
+        raise InputError("--policy: a step model from a file has none; leave it out")
+    with as_bad_input(StepModelError):
+        name, model, unknown = load_step_model(file)
+    if unknown:
+        say(f"warning: {file}: unknown keys are left out: {', '.join(unknown)}")
+    return name, model
 
 
 def _search(options: PlanOptions) -> PlannerOptions:
