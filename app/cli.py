@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import importlib
 import os
 import signal
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from app.output import ExitCode, InputError, one_line
+from app.output import ExitCode, InputError, one_line, release_folders
 
 PROGRAM = "python main.py"
 
@@ -101,27 +102,53 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
     Wrong input, Ctrl-C and SIGTERM end in one line on standard error. Anything else that is raised
     is a fault of the program and keeps its traceback.
     """
+    _open_streams()
     try:
-        with _warnings_in_one_line(), _terminable():
+        with _warnings_in_one_line(), _terminable(), contextlib.ExitStack() as at_end:
+            at_end.callback(release_folders)
             code = _dispatch(list(arguments), program)
             sys.stdout.flush()
             return code
     except InputError as error:
         # One line, but for a map without its YAML: that message shows the lines to write.
         told, colon, lines = str(error).partition(":\n")
-        print(f"error: {one_line(told)}{colon}{lines}", file=sys.stderr)
+        _tell(f"error: {one_line(told)}{colon}{lines}")
         return ExitCode.BAD_INPUT
     except _Terminated:
-        print("terminated", file=sys.stderr)
+        _tell("terminated")
         return ExitCode.TERMINATED
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        _tell("interrupted")
         return ExitCode.INTERRUPTED
     except BrokenPipeError:
-        # The reader of our output (head, say) has left. Standard output must not be flushed
-        # again at exit: give it a place where that succeeds.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # The reader of our output (head, say) has left.
+        _leave_output()
         return ExitCode.DONE
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        where = error.filename or "standard output"
+        _tell(f"error: cannot write {where}: {error.strerror}")
+        _leave_output()
+        return ExitCode.BAD_INPUT
+
+
+def _leave_output() -> None:
+    """Gives what standard output still holds a place where flushing it at exit succeeds."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _open_streams() -> None:
+    """Opens streams that were closed from the start, lest another file takes their place."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+
+
+def _tell(line: str) -> None:
+    """One line on standard error, where that can be written."""
+    with contextlib.suppress(OSError):
+        print(line, file=sys.stderr)
 
 
 def overview(program: str = PROGRAM) -> str:
@@ -197,7 +224,7 @@ def _warnings_in_one_line() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda message, *_args, **_kwargs: print(
-            f"warning: {one_line(message)}", file=sys.stderr
+        warnings.showwarning = lambda message, *_args, **_kwargs: _tell(
+            f"warning: {one_line(message)}"
         )
         yield

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import json
 import os
 import sys
@@ -21,6 +22,7 @@ from maps.files import written_whole
 
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 LINE_EVERY_S = 5.0
+LOCK = ".lock"
 _WORD, _LINE = 400, 1000  # letters of a word and of a line that are shown of a message
 
 
@@ -104,6 +106,56 @@ def make_folder(path: Path, *, option: str) -> None:
         raise InputError(f"{option}: cannot make the folder {path}: {error.strerror}") from error
     if not os.access(path, os.W_OK):
         raise InputError(f"{option}: the folder {path} is not writable")
+
+
+_CLAIMED: dict[Path, int] = {}  # of this process: the open lock file of each folder
+
+
+def claim_folder(path: Path, *, option: str) -> None:
+    """Makes the folder and keeps other processes from claiming it until `release_folders`.
+
+    The claim is a lock on the file `.lock` in it. It goes with the process, however that ends.
+
+    Raises:
+        InputError: It cannot be made or written, or another process has it.
+    """
+    make_folder(path, option=option)
+    path = path.resolve()
+    while path not in _CLAIMED:
+        lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            owner = os.read(lock, 20).decode(errors="replace").strip()
+            os.close(lock)
+            raise InputError(
+                f"{option}: process {owner} is writing to {path}; wait for it, end it, or name "
+                "another folder"
+            ) from None
+        try:
+            is_there = os.path.samestat(os.fstat(lock), os.stat(path / LOCK))
+        except FileNotFoundError:
+            is_there = False
+        if not is_there:  # its owner has just taken it away
+            os.close(lock)
+            continue
+        os.truncate(lock, 0)
+        os.write(lock, f"{os.getpid()}\n".encode())
+        _CLAIMED[path] = lock
+
+
+def release_folder(path: Path) -> None:
+    """Gives up a folder that this process has claimed."""
+    lock = _CLAIMED.pop(path.resolve())
+    with contextlib.suppress(OSError):
+        os.unlink(path / LOCK)
+    os.close(lock)
+
+
+def release_folders() -> None:
+    """Gives up all folders that this process has claimed."""
+    for path in list(_CLAIMED):
+        release_folder(path)
 
 
 @contextlib.contextmanager

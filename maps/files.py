@@ -28,6 +28,8 @@ def written_whole(path: Path) -> Iterator[Path]:
     try:
         temporary.touch()  # what cannot be written is told before the work
         yield temporary
+        with temporary.open("rb") as file:
+            os.fsync(file.fileno())  # a name must not outlive a power cut that the data did not
         os.replace(temporary, path)
     finally:
         with contextlib.suppress(OSError):

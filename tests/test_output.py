@@ -5,13 +5,23 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from app.output import InputError, make_folder, replacing, require_writable, write_text
+from app.output import (
+    InputError,
+    claim_folder,
+    make_folder,
+    release_folders,
+    replacing,
+    require_writable,
+    write_text,
+)
 from app.workers import in_order, portions
-from tests.programs import run_python
+from tests.programs import ROOT, run_python
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -117,3 +127,57 @@ def test_workers_of_a_killed_process_end():
     done = run_python("-c", KILLED, timeout=300)
     assert done.returncode == -signal.SIGKILL
     assert done.stdout == "1\n"
+
+
+CLAIMED = """
+import sys
+from pathlib import Path
+from app.output import InputError, claim_folder
+try:
+    claim_folder(Path(sys.argv[1]), option="--out")
+except InputError as error:
+    sys.exit(str(error))
+"""
+
+
+def test_a_folder_belongs_to_one_process_until_it_lets_go(tmp_path):
+    folder = tmp_path / "run"
+    claim_folder(folder, option="--out")
+    claim_folder(folder, option="--out")  # it has it already
+    refused = run_python("-c", CLAIMED, folder)
+    assert refused.stderr.strip() == (
+        f"--out: process {os.getpid()} is writing to {folder}; wait for it, end it, or name "
+        "another folder"
+    )
+    release_folders()
+    assert list(folder.iterdir()) == []
+    assert run_python("-c", CLAIMED, folder).returncode == 0
+
+
+def test_what_a_killed_process_claimed_is_free(tmp_path):
+    killed = CLAIMED + "import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n"
+    assert run_python("-c", killed, tmp_path).returncode == -signal.SIGKILL
+    claim_folder(tmp_path, option="--out")
+    release_folders()
+    assert list(tmp_path.iterdir()) == []
+
+
+PLAN = f"{sys.executable} main.py plan --map maps/room.png --goal 0.4,0.1,0"
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "told"),
+    [
+        (f"{PLAN} >&-", 0, None),
+        (f"{PLAN} --help >&-", 0, ""),
+        (f"{PLAN} --json <&- >&- 2>&-", 0, ""),
+        (f"{PLAN} 2>/dev/full", 0, ""),
+        (f"{PLAN} --map missing.png 2>/dev/full", 2, ""),
+        (f"{PLAN} >/dev/full", 2, "error: cannot write standard output: No space left on device"),
+    ],
+)
+def test_streams_that_are_closed_or_full(line, code, told):
+    done = subprocess.run(["bash", "-c", line], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == code
+    if told is not None:
+        assert done.stderr.strip().split("\n")[-1] == told

@@ -42,7 +42,8 @@ from app.output import (
     InputError,
     ProgressBar,
     as_bad_input,
-    make_folder,
+    claim_folder,
+    release_folder,
     say,
     to_json,
     write_text,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
     from planner.corpus.generate import Drawn, RandomPlans
 
 FORMATS = ("npz", "lhw")
+STAGE = ".dataset-"  # begins the name of the folder in which a corpus is made
 TEXT, SHEET, HISTOGRAMS = "plans.txt", "plans.png", "steps.png"
 # All files that a corpus may have.
 PATTERNS = (PLANS, YAML, f"{IMAGE}.*", f"{HEIGHTS}.*", TEXT, SHEET, HISTOGRAMS, MANIFEST)
@@ -312,10 +314,12 @@ def folder_to_fill(out: Path) -> Iterator[Path]:
         InputError: The folder cannot be made or written.
     """
     was_there = out.exists()
-    make_folder(out, option="--out")
+    claim_folder(out, option="--out")
     stage = None
+    for left in out.glob(f"{STAGE}*"):  # by one that was killed
+        shutil.rmtree(left, ignore_errors=True)
     try:
-        stage = Path(tempfile.mkdtemp(prefix=".dataset-", dir=out))
+        stage = Path(tempfile.mkdtemp(prefix=STAGE, dir=out))
         yield stage
         # The manifest comes last: it says that the rest is there.
         new = sorted((path.name for path in stage.iterdir()), key=lambda name: name == MANIFEST)
@@ -330,6 +334,7 @@ def folder_to_fill(out: Path) -> Iterator[Path]:
         if stage is not None:
             shutil.rmtree(stage, ignore_errors=True)
         if not was_there:
+            release_folder(out)
             with contextlib.suppress(OSError):
                 out.rmdir()
 

@@ -24,7 +24,7 @@ from app.output import (
     InputError,
     ProgressBar,
     as_bad_input,
-    make_folder,
+    claim_folder,
     say,
     to_json,
     write_text,
@@ -91,7 +91,7 @@ def run(options: EvaluateOptions) -> int:
     with as_bad_input(PolicyError):
         policy = load_policy(robot, options.policy)
     beside = {"beside": read_beside(options.beside, robot.name)} if options.beside else {}
-    make_folder(options.out, option="--out")
+    claim_folder(options.out, option="--out")
     setup = EvaluationSetup(
         robot=robot,
         policy=policy,

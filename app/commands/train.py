@@ -21,7 +21,15 @@ from app.options import (
     choice,
     find_robot,
 )
-from app.output import ExitCode, InputError, ProgressBar, as_bad_input, make_folder, say, write_text
+from app.output import (
+    ExitCode,
+    InputError,
+    ProgressBar,
+    as_bad_input,
+    claim_folder,
+    say,
+    write_text,
+)
 from controller.curriculum import PRESETS as CURRICULA
 from controller.curriculum import Curriculum
 from planner.corpus.corpus import Corpus, CorpusError
@@ -176,7 +184,7 @@ def check_folder(out: Path, *, resume: bool) -> None:
         raise InputError(f"--resume: {out} holds no checkpoint.pt to resume from")
     if began and not resume:
         raise InputError(f"--out: {out} holds a run already; add --resume or name another folder")
-    make_folder(out, option="--out")
+    claim_folder(out, option="--out")
     with as_bad_input(TrainingError):
         require_room(out)
 

@@ -29,7 +29,7 @@ from app.options import (
     number,
     read_grid,
 )
-from app.output import ExitCode, InputError, ProgressBar, make_folder, say, to_json, write_text
+from app.output import ExitCode, InputError, ProgressBar, claim_folder, say, to_json, write_text
 from app.ros.recording import recording, require_recordable
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
@@ -102,7 +102,7 @@ def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
     grid = read_grid(options)
     robot, policy = load_walker(options.robot, options.policy, options.pace)
-    make_folder(options.out, option="--out")
+    claim_folder(options.out, option="--out")
     require_recordable(options.record, None)
     file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy)
     results = finished(file, settings)[: options.count] if options.resume else []
