@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,9 @@ from numpy.typing import ArrayLike
 from controller.observation import layout, normaliser, policy_fields
 from maps.files import from_json, written_whole
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from controller.walker import Walker
 
 FORMAT = "footstep-policy/1"
 POLICY_FOLDER = Path(__file__).parent / "policies"
@@ -70,6 +74,10 @@ class Policy:
                 f"steps of {least_s:g} to {most_s:g} s: this policy {what}; "
                 "walk at --pace normal, or train one that sees the durations of steps"
             )
+
+    def start(self, walker: Walker) -> Callable[[], np.ndarray]:
+        """A function that advances the walker by one control step, as `Walker.act` does."""
+        return lambda: walker.act(self.act(walker.observe()))
 
     def act(self, observation: np.ndarray) -> np.ndarray:
         """Actions (B, J) in rad for observations (B, N) as they come from `observe`."""

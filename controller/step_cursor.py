@@ -60,6 +60,20 @@ class StepSequence:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class UpcomingSteps:
+    """Steps of one robot from the present one on; times are in seconds from now.
+
+    `side` (n,), `pose_world` (n, 4), `lift_off_s` and `touch_down_s` (n,). What the present step
+    has done already lies in the past.
+    """
+
+    side: np.ndarray
+    pose_world: np.ndarray
+    lift_off_s: np.ndarray
+    touch_down_s: np.ndarray
+
+
 class StepCursor:
     """The present step of each of B robots and the control tick within its period.
 
@@ -258,6 +272,26 @@ class StepCursor:
         before = np.where(self.standing, self.entry, np.maximum(self.entry - STANCE, 0))
         entries = np.stack([before, after, next_], axis=1)[..., None] + np.arange(2)
         return self._pose[self._rows[:, None, None], entries]
+
+    def upcoming(self, row: int) -> UpcomingSteps:
+        """The steps of robot `row` that are under way or still to come; none where it arrived."""
+        entry, tick = int(self.entry[row]), int(self.tick[row])
+        end = STANCE + int(self._steps[row])
+        first = end if self.arrived[row] else max(entry, STANCE)
+        swing, step = self._swing[row, first:end], (self._swing + self._double)[row, first:end]
+        if entry >= STANCE:
+            lift_off = -tick
+        elif self.standing[row]:
+            lift_off = int(self._wait[row]) + 1 + int(self._double[row, STANCE - 1])
+        else:
+            lift_off = int(self._swing[row, entry] + self._double[row, entry]) - tick
+        begins = lift_off + np.concatenate([[0], np.cumsum(step)[:-1]])[: len(step)]
+        return UpcomingSteps(
+            side=self._side[row, first:end],
+            pose_world=self._pose[row, first:end],
+            lift_off_s=begins * CONTROL_PERIOD_S,
+            touch_down_s=(begins + swing) * CONTROL_PERIOD_S,
+        )
 
     @property
     def clock(self) -> np.ndarray:

@@ -2,13 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Protocol
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.observation import observe
 from controller.step_cursor import StepCursor, StepSequence
 from sim.batch import SimBatch
+from sim.robot import Robot
 from sim.scene import Scene
+
+
+class Controller(Protocol):
+    """What moves the robots of a walker: a policy, or the model-based controller."""
+
+    @property
+    def is_paced(self) -> bool:
+        """Whether it takes steps of other durations than the robot's gait."""
+        ...
+
+    def step_range_s(self, robot: Robot) -> tuple[float, float]:
+        """Shortest and longest duration of a step."""
+        ...
+
+    def require_pace(self, robot: Robot, step_s: ArrayLike) -> None:
+        """Checks that it can take steps of these durations; raises ValueError if not."""
+        ...
+
+    def start(self, walker: Walker) -> Callable[[], np.ndarray]:
+        """A function that advances the walker by one control step, as `Walker.act` does."""
+        ...
 
 
 class Walker:
@@ -16,6 +42,8 @@ class Walker:
 
     An action (B, J) is an offset in rad from half-sitting. The joint target is the mean of the
     new action and the one before, as in the reference code of Singh et al. 2022.
+    `placed` (B,) counts how often each was put into a state; `failures` holds why the controller of
+    each gave up, "" while it has not.
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps.
     """
 
@@ -39,6 +67,8 @@ class Walker:
         )
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
+        self.failures = [""] * count
+        self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
         self._sent = np.zeros((count, len(self.robot.joints)))
 
@@ -46,6 +76,8 @@ class Walker:
         """Put robot `row` into a state and forget its last action."""
         self.sim.reset(np.array([row]), qpos[None], None if qvel is None else qvel[None])
         self.action[row] = self._sent[row] = 0.0
+        self.placed[row] += 1
+        self.failures[row] = ""
 
     def follow(
         self, row: int, sequence: StepSequence, *, wait_ticks: int = 0, walking: bool = False
@@ -77,6 +109,17 @@ class Walker:
         self.sim.step(self.robot.half_sitting_rad + (1 - latency) * blend + latency * self._sent)
         self._sent = blend
         self.action = action.copy()
+        return self.cursor.advance()
+
+    def act_in_parts(
+        self, parts: int, targets_rad: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """Advance one control step in equal parts, then the gait clock.
+
+        The joint targets (B, J) of each part come from the sensors before it: see
+        `SimBatch.step_in_parts`. Returns the same as `act`.
+        """
+        self.sim.step_in_parts(parts, targets_rad)
         return self.cursor.advance()
 
     def soles_world(self) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
@@ -153,9 +155,41 @@ class SimBatch:
         """Advance all by one control period with the joint targets (B, J) held."""
         self._ctrl[:] = targets_rad
         self.failed[:] = False
-        out = {**self.recorded, "sensordata": self.sensors}
+        self._advance(self.substeps, {**self.recorded, "sensordata": self.sensors})
+
+    def step_in_parts(self, parts: int, targets_rad: Callable[[np.ndarray], np.ndarray]) -> None:
+        """Advance all by one control period in equal parts, each with joint targets of its own.
+
+        `targets_rad` gives the targets (B, J) of a part by the sensors (B, nsensordata) at the last
+        physics step before it.
+
+        Raises:
+            ValueError: the physics steps of a control period do not divide into so many parts.
+        """
+        if parts < 1 or self.substeps % parts:
+            raise ValueError(f"{self.substeps} physics steps do not divide into {parts} parts")
+        size = self.substeps // parts
+        self.failed[:] = False
+        latest = self.sensors[:, -1].copy()
+        written: list[dict[str, np.ndarray]] = []
+        for part in range(parts):
+            self._ctrl[:] = targets_rad(latest)
+            sensors = np.zeros((self.count, size, self.sensors.shape[2]))
+            self._advance(size, {"sensordata": sensors})
+            written.append(self.recorded)
+            self.recorded = {}
+            self.sensors[:, part * size : (part + 1) * size] = sensors
+            latest = sensors[:, -1]
+        self.recorded = {
+            name: np.concatenate([part[name] for part in written], axis=1)
+            for name in self._record[1:]
+            if all(name in part for part in written)
+        }
+
+    def _advance(self, steps: int, out: dict[str, np.ndarray]) -> None:
+        """Run so many physics steps and write what is recorded into the arrays of `out`."""
         try:
-            written = self._batch.rollout(self.substeps, record=self._record, out=out)
+            written = self._batch.rollout(steps, record=self._record, out=out)
             self.recorded = {name: written[name] for name in self._record[1:]}
         except SimulationError as error:
             self.failed[error.ids] = True

@@ -24,6 +24,7 @@ class Sensors:
     sole_x_axis_world: np.ndarray  # (2, 3) along the foot
     sole_linvel_world: np.ndarray  # (2, 3)
     ground_force_world: np.ndarray  # (2, 3) on the foot
+    pressure_pos_world: np.ndarray  # (2, 3) centre of pressure, 0 without contact
     head_pos_world: np.ndarray  # (3,)
     pelvis_pos_world: np.ndarray  # (3,)
     pelvis_linvel_world: np.ndarray  # (3,)
@@ -48,7 +49,8 @@ class Sensors:
             sole_pos_world=both("sole_pos"),
             sole_x_axis_world=both("sole_x_axis"),
             sole_linvel_world=both("sole_linvel"),
-            ground_force_world=both("ground_force"),
+            ground_force_world=both("ground_force")[:, :3],
+            pressure_pos_world=both("ground_force")[:, 3:],
             head_pos_world=at("head_pos"),
             pelvis_pos_world=at("pelvis_pos"),
             pelvis_linvel_world=at("pelvis_linvel"),
@@ -69,7 +71,7 @@ def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
 
     def contact(
         name: str,
-        field: mujoco.mjtConDataField,
+        fields: tuple[mujoco.mjtConDataField, ...],
         second: tuple[mujoco.mjtObj, str],
         **first: Any,
     ) -> None:
@@ -83,23 +85,24 @@ def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
             type=sensor.mjSENS_CONTACT,
             reftype=second[0],
             refname=second[1],
-            intprm=[1 << int(field), net_force, 1],
+            intprm=[sum(1 << int(field) for field in fields), net_force, 1],
             **first,
         )
 
+    told = mujoco.mjtConDataField
     for side in SIDES:
         sole, foot = f"{side}_sole", (objects.mjOBJ_GEOM, f"{side}_foot")
         add(f"{sole}_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, sole)
         add(f"{sole}_x_axis", sensor.mjSENS_FRAMEXAXIS, objects.mjOBJ_SITE, sole)
         add(f"{sole}_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_SITE, sole)
-        contact(f"{side}_ground_force", mujoco.mjtConDataField.mjCONDATA_FORCE, foot)
+        contact(f"{side}_ground_force", (told.mjCONDATA_FORCE, told.mjCONDATA_POS), foot)
     body = objects.mjOBJ_XBODY
     add("head_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, "head")
     add("pelvis_pos", sensor.mjSENS_FRAMEPOS, body, "pelvis")
     add("pelvis_linvel", sensor.mjSENS_FRAMELINVEL, body, "pelvis")
     add("com_pos", sensor.mjSENS_SUBTREECOM, objects.mjOBJ_BODY, "pelvis")
     add("com_linvel", sensor.mjSENS_SUBTREELINVEL, objects.mjOBJ_BODY, "pelvis")
-    found = mujoco.mjtConDataField.mjCONDATA_FOUND
+    found = (told.mjCONDATA_FOUND,)
     contact("legs_touching", found, (body, "right_leg"), objtype=body, objname="left_leg")
     contact("wall_contacts", found, (body, "walls"), objtype=body, objname="pelvis")
     for joint in robot.joints:

@@ -48,6 +48,8 @@ MAY_LOAD = {
     "tensordict": ("controller", "app"),
     "ompl": ("planner",),
     "numba": ("planner",),
+    "mink": ("controller",),
+    "daqp": ("controller",),
     "cv2": ("maps", "planner", "app"),
     "shapely": ("maps", "planner"),
     "matplotlib": ("app",),

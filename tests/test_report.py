@@ -75,14 +75,15 @@ GAIT = GaitSummary(
     speed_m_s=0.28,
 )
 PLACE = NarrowPlace(x=1.5, y=-0.25, width_m=0.65, needed_m=0.842)
-WITH_ALL = dataclasses.replace(REPORT, gait=GAIT, narrow_place=PLACE)
+BY_MODEL = {"name": "lipm", "rate_hz": 200}
+WITH_ALL = dataclasses.replace(REPORT, gait=GAIT, narrow_place=PLACE, controller=BY_MODEL)
 
 
 def test_every_field_is_in_the_document():
     fields = {field.name for field in dataclasses.fields(NavigationReport)}
     assert set(json.loads(WITH_ALL.to_json())) == fields | {"format"}
     without = set(json.loads(REPORT.to_json()))
-    assert without == (fields | {"format"}) - {"gait", "narrow_place"}
+    assert without == (fields | {"format"}) - {"controller", "gait", "narrow_place"}
 
 
 @pytest.mark.parametrize(

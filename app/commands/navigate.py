@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
+from app.controllers import ControllerOption, load_controlled
 from app.navigation.report import NavigationReport, Outcome, PolicyFile
 from app.options import (
     FolderOption,
@@ -27,7 +28,6 @@ from app.options import (
     Reach,
     Size,
     SizeOption,
-    load_walker,
     read_grid,
     whole_number,
 )
@@ -44,7 +44,8 @@ from app.output import (
 from app.ros.recording import Recorder, recording, require_recordable
 from app.workers import compile_planner
 from controller.gait import CONTROL_PERIOD_S
-from controller.policy import POLICY_FOLDER, Policy
+from controller.lipm.servos import report_of
+from controller.policy import POLICY_FOLDER
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
@@ -53,6 +54,7 @@ from sim.robot import Robot
 
 if TYPE_CHECKING:
     from app.navigation.navigator import Navigator
+    from controller.walker import Controller
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +65,9 @@ class NavigateOptions(PlanningOptions, GoalOptions):
     robot stands at the goal, 2 when the input is wrong, 3 when there is no plan, and 4 when there
     was a plan and the walk failed.
     """
+
+    controller: ControllerOption = "policy"
+    """Who walks: the trained policy, or lipm, a controller by a model (docs/lipm.md)."""
 
     pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
@@ -132,7 +137,8 @@ def run(options: NavigateOptions) -> int:
     started = time.perf_counter()
     _require_reachable(options)
     grid = read_grid(options)
-    robot, policy = load_walker(options.robot, options.policy, options.pace)
+    robot, policy = load_controlled(options, options.controller, options.pace)
+    by_model = options.controller == "lipm"
     # Before the walk and not after it.
     make_folder(options.out, option="--out")
     require_writable(options.html, option="--html", endings=(".html", ".htm"))
@@ -160,7 +166,10 @@ def run(options: NavigateOptions) -> int:
         )
         report = navigator.report(
             map=plan.map,
-            policy=PolicyFile.of(options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"),
+            policy=None
+            if by_model
+            else PolicyFile.of(options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"),
+            controller=report_of(robot) if by_model else None,
             compile_time_s=compiled_s + navigator.compile_time_s,
             wall_time_s=time.perf_counter() - started,
         )
@@ -181,7 +190,7 @@ def walked(
     options: NavigateOptions,
     grid: OccupancyGrid,
     robot: Robot,
-    policy: Policy,
+    policy: Controller,
     stack: ExitStack,
 ) -> tuple[Navigator, Recorder | None]:
     """A walk from plan to end, showing how many steps are done, and what records it.
@@ -312,7 +321,7 @@ def outcome_of(navigator: Navigator) -> str:
 
 @contextlib.contextmanager
 def viewed(
-    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
+    options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Controller
 ) -> Iterator[Navigator]:
     """Gives the walk when it is over; on leaving, the page goes on until Ctrl-C."""
     from app.viewer.page import open_page

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from app.controllers import ControllerOption, load_controlled
 from app.navigation.report import Outcome, Percentiles, installed_versions
 from app.options import (
     CountOption,
@@ -25,7 +26,6 @@ from app.options import (
     PushOption,
     WorkersOption,
     find_robot_with_limits,
-    load_walker,
     number,
     read_grid,
 )
@@ -40,6 +40,7 @@ from planner.robot_model import StepModel
 from sim.robot import Robot
 
 if TYPE_CHECKING:
+    from controller.walker import Controller
     from planner.collision import Terrain
 
 FORMAT = "navigation-trials/1"
@@ -65,6 +66,9 @@ class TrialsOptions(PlanningOptions):
 
     reachable: bool = False
     """Draw only pairs between which the robot can walk facing ahead, by the width of the way."""
+
+    controller: ControllerOption = "policy"
+    """Who walks: the trained policy, or lipm, a controller by a model (docs/lipm.md)."""
 
     pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
@@ -101,7 +105,7 @@ class Trial:
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
     grid = read_grid(options)
-    robot, policy = load_walker(options.robot, options.policy, options.pace)
+    robot, policy = load_controlled(options, options.controller, options.pace)
     claim_folder(options.out, option="--out")
     require_recordable(options.record, None)
     file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy)
@@ -146,7 +150,7 @@ def run(options: TrialsOptions) -> int:
 
 
 def settings_of(
-    options: TrialsOptions, grid: OccupancyGrid, robot: Robot, policy: Policy
+    options: TrialsOptions, grid: OccupancyGrid, robot: Robot, policy: Controller
 ) -> dict[str, Any]:
     """All that the walks depend on, but for how many there are."""
     ground = hashlib.sha256(repr((grid.shape, grid.resolution_m, grid.origin)).encode())
@@ -155,7 +159,8 @@ def settings_of(
         ground.update(grid.elevation_m.tobytes())
     return {
         "map_sha256": ground.hexdigest(),
-        "policy_sha256": policy.about["sha256"],
+        "controller": options.controller,
+        "policy_sha256": policy.about["sha256"] if isinstance(policy, Policy) else None,
         "step_model": asdict(robot.step_model),
         "planner": asdict(options.planner_options()),
         "apart_m": options.apart,
@@ -246,7 +251,7 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
     from app.navigation.navigator import Navigator, NavigatorConfig
     from planner.collision import terrain_of
 
-    robot, policy = load_walker(options.robot, options.policy)
+    robot, policy = load_controlled(options, options.controller, options.pace)
     planner = replace(options.planner_options(), seed=trial.seed)
     navigator = Navigator(
         grid,

@@ -146,6 +146,7 @@ class LiveNavigator(Navigator):
         walker.place(0, before.sim.qpos[0], before.sim.qvel[0])
         walker.cursor, walker.action = before.cursor, before.action
         walker.sim.sensors[:] = before.sim.sensors
+        self._act = self.policy.start(walker)
         self.grid, self.scene, self.walker, self._planner = grid, scene, walker, planner
         self._footing = Footing(grid, self.robot.step_model, self.config.planner.unknown_is_free)
 
@@ -158,7 +159,7 @@ class LiveNavigator(Navigator):
             self.going, self.idle_s = self.outcome is None, 0.0
             return
         self.idle_s += CONTROL_PERIOD_S
-        self.walker.act(self.policy.act(self.walker.observe()))
+        self._act()
         self.qpos[-1] = self.walker.sim.qpos[0].copy()
         self._look_for_failure()
 

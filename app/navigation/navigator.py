@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,10 +19,9 @@ from app.navigation.report import (
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.evaluation.push_recovery import Push
 from controller.gait import CONTROL_PERIOD_S, step_durations_s
-from controller.policy import Policy
 from controller.recovery import change_steps, step_change
 from controller.step_cursor import StepSequence
-from controller.walker import Walker
+from controller.walker import Controller, Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
 from planner.options import PlannerOptions
@@ -109,7 +108,7 @@ class Navigator:
         self,
         grid: OccupancyGrid,
         robot: Robot,
-        policy: Policy,
+        policy: Controller,
         *,
         start: Sequence[float],
         goal: Sequence[float],
@@ -123,6 +122,7 @@ class Navigator:
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
         self.walker = Walker(self.scene, threads=1, record=("qvel",))
+        self._act = policy.start(self.walker)
         self._gait = GaitRecorder(self.walker)
         self._footing = Footing(grid, robot.step_model, unknown_is_free)
         self._planner = planner or Planner(grid, robot.step_model, self.config.planner)
@@ -186,6 +186,7 @@ class Navigator:
         *,
         map: str = "",
         policy: PolicyFile | None = None,
+        controller: Mapping[str, Any] | None = None,
         compile_time_s: float | None = None,
         wall_time_s: float = 0.0,
     ) -> NavigationReport:
@@ -217,6 +218,7 @@ class Navigator:
             goal=finite_pose(self.goal),
             seed=self.seed,
             policy=policy,
+            controller=controller,
             gait=self._gait.summary(),
             narrow_place=self.plans[-1].narrow_place if self.plans else None,
             versions=installed_versions(),
@@ -244,7 +246,7 @@ class Navigator:
         side = Side(int(cursor.side[0]))
         asked = cursor.foot_targets[0, side].copy()
         walking = not cursor.standing[0]
-        stepped = bool(self.walker.act(self.policy.act(self.walker.observe()))[0])
+        stepped = bool(self._act()[0])
         self.qpos.append(self.walker.sim.qpos[0].copy())
         self._look_for_failure()
         if self.outcome is not None:
@@ -341,6 +343,10 @@ class Navigator:
 
     def _look_for_failure(self) -> None:
         sensors, sim = self.scene.sensors, self.walker.sim
+        if self.walker.failures[0]:
+            x, y = sim.qpos[0, :2]
+            self._end(Outcome.FELL, f"{self.walker.failures[0]}, near {x:.2f}, {y:.2f}")
+            return
         if sim.failed[0]:
             self._end(Outcome.FELL, "the simulation left the finite numbers")
             return

@@ -25,7 +25,7 @@ FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
 # Left out where a walk is too short to have a gait, or no place too narrow; older reports do not
 # have the others.
-_OPTIONAL = ("compile_time_s", "gait", "narrow_place", "recovery_steps")
+_OPTIONAL = ("compile_time_s", "controller", "gait", "narrow_place", "recovery_steps")
 PoseTuple = tuple[float, float, float]
 
 
@@ -85,7 +85,8 @@ class NavigationReport:
     in the map frame; `goal_error_rad` is the size of the error in heading. `foot_error_m` are
     distances between the places where feet came to rest and those of their steps.
     `recovery_steps` were moved or hastened against a push. `compile_time_s` is how long plans
-    waited for the compiler, which is not part of `planning_time_s`.
+    waited for the compiler, which is not part of `planning_time_s`. `controller` tells of one that
+    is no policy: its name, rate and servo gains.
     """
 
     outcome: Outcome
@@ -108,6 +109,7 @@ class NavigationReport:
     goal: PoseTuple
     seed: int
     policy: PolicyFile | None = None
+    controller: Mapping[str, Any] | None = None
     gait: GaitSummary | None = None
     narrow_place: NarrowPlace | None = None
     versions: Mapping[str, str] = field(default_factory=dict)

@@ -32,6 +32,7 @@ from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session, Snapshot
 from controller.observation import pelvis_yaw_rad
 from controller.policy import Policy
+from controller.walker import Controller
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from sim.robot import Robot
@@ -216,7 +217,7 @@ class Page:
 def open_page(
     grid: OccupancyGrid,
     robot: Robot,
-    policy: Policy,
+    policy: Controller,
     *,
     title: str,
     host: str = LOCAL,

@@ -22,7 +22,7 @@ from app.navigation.planner_process import BlockingPlanner, PlannerProcess, Worl
 from app.output import InputError
 from app.viewer.obstacles import Obstacle, with_obstacles
 from controller.gait import CONTROL_PERIOD_S
-from controller.policy import Policy
+from controller.walker import Controller
 from maps.grid import OccupancyGrid
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan, Pose, finite_pose
@@ -133,7 +133,7 @@ class WalkSetup:
 
     bare_grid: OccupancyGrid
     robot: Robot
-    policy: Policy
+    policy: Controller
     start: Pose
     options: PlannerOptions
     seed: int
@@ -190,7 +190,7 @@ class Session:
         self,
         grid: OccupancyGrid,
         robot: Robot,
-        policy: Policy,
+        policy: Controller,
         *,
         start: Sequence[float] = (0.0, 0.0, 0.0),
         goal: Sequence[float] | None = None,
@@ -273,7 +273,7 @@ class Session:
         self._replanner.plan_anew()
 
     @_queued
-    def set_robot(self, robot: Robot, policy: Policy) -> None:
+    def set_robot(self, robot: Robot, policy: Controller) -> None:
         """Another robot takes the place of this one at the start."""
         self._change(robot=robot, policy=policy)
         self._replanner.take(self._standing())

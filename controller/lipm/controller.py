@@ -1,0 +1,276 @@
+"""The model-based controller: from the cursor's steps and the robot's state to joint targets.
+
+Every 5 ms: the pattern's centre of mass, feedback of the DCM, wrenches of the feet, admittance,
+swing foot, inverse kinematics, and joint targets for stiff servos.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike
+
+from controller.gait import CONTROL_PERIOD_S
+from controller.lipm.admittance import FootAdmittance, sole_wrench, tilted
+from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, StageFailed, phases_of
+from controller.lipm.servos import joint_targets, require_pace
+from controller.lipm.stabilizer import DcmFeedback, ForceDistribution
+from controller.lipm.swing_foot import SwingFoot, has_landed, swing_over
+from controller.lipm.whole_body import BodyTargets, WholeBody
+from controller.step_cursor import UpcomingSteps
+from controller.walker import Walker
+from planner.plan import pair_pose, wrap_angle
+from sim.robot import GRAVITY_M_S2, Robot
+
+PARTS = 5
+# The centre of mass walks this much below half-sitting, so that a long step leaves the knee bent,
+# and rises and sinks no faster than this.
+LOWERED_M, SINK_M_S = 0.04, 0.15
+PART_S = CONTROL_PERIOD_S / PARTS
+REPLAN_PARTS = round(SAMPLE_S / PART_S)
+
+
+class RobotControl:
+    """The controller of robot `row` of a walker."""
+
+    def __init__(self, walker: Walker, row: int):
+        self._walker, self._row, robot = walker, row, walker.robot
+        self._body = WholeBody(robot)
+        model = self._body.scene.model
+        self._data = mujoco.MjData(model)
+        self._height_m = self._body.com[2] - LOWERED_M
+        foot = robot.step_model.foot
+        half_sole_m = np.array([foot.length_m, foot.width_m]) / 2
+        self._pattern = PatternGenerator(self._height_m, half_sole_m)
+        self._omega = np.sqrt(GRAVITY_M_S2 / self._height_m)
+        self._distribution = ForceDistribution(half_sole_m)
+        self._pelvis = model.body("pelvis").id
+        self._sites = [model.site(f"{side}_sole").id for side in ("left", "right")]
+        self._mass_kg = float(model.body_subtreemass[self._pelvis])
+        self._placed = -1
+        self._swing: SwingFoot | None = None
+        self._swing_side = 0
+        self._landed = False
+
+    def _place(self) -> None:
+        """Begin anew where the robot stands."""
+        scene, body = self._body.scene, self._body
+        soles = self._measured_soles()
+        feet = soles.copy()
+        feet[:, 2] = soles[:, 2].mean()
+        body.place(scene.qpos_at(np.array(pair_pose(feet)), feet[:, 2].mean()))
+        self._feet = feet
+        self._swing, self._landed = None, False
+        self._admittance = FootAdmittance()
+        self._feedback = DcmFeedback(omega=self._omega)
+        com = self._data.subtree_com[self._pelvis]
+        self._com_z_m = com[2]
+        for _ in range(10):
+            body.follow(self._targets(com), 0.1)
+        self._pendulum = Pendulum(
+            com=com[:2].copy(), velocity=np.zeros(2), acceleration=np.zeros(2)
+        )
+        self._jerk = np.zeros((1, 2))
+        self._count = 0
+
+    def _measure(self) -> None:
+        model, data, sim = self._body.scene.model, self._data, self._walker.sim
+        data.qpos[:], data.qvel[:] = sim.qpos[self._row], sim.qvel[self._row]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_subtreeVel(model, data)
+
+    def _measured_soles(self) -> np.ndarray:
+        data = self._data
+        x_axes = data.site_xmat[self._sites]
+        yaw = np.arctan2(x_axes[:, 3], x_axes[:, 0])
+        return np.column_stack([data.site_xpos[self._sites], yaw])
+
+    def targets(self, latest: np.ndarray, part: int) -> np.ndarray:
+        """Joint targets (J,) for the next 5 ms."""
+        self._measure()
+        if self._placed != self._walker.placed[self._row]:
+            self._placed = self._walker.placed[self._row]
+            self._place()
+        cursor = self._walker.cursor
+        steps = _later(cursor.upcoming(self._row), part * PART_S)
+        self._move_swing_foot(latest, steps)
+        if self._count % REPLAN_PARTS == 0:
+            self._jerk = self._pattern.solve(self._pendulum, phases_of(self._feet, steps))
+        self._count += 1
+        pendulum = self._pendulum
+        reference = pendulum.com, pendulum.velocity, pendulum.acceleration
+        pendulum.advance(self._jerk[0], PART_S)
+        data = self._data
+        com, velocity = data.subtree_com[self._pelvis], data.subtree_linvel[self._pelvis]
+        asked = self._feedback.acceleration(reference, com[:2], velocity[:2], PART_S)
+        wrenches = self._wrenches(com, asked)
+        self._give_way(latest, wrenches)
+        return self._joint_targets(wrenches)
+
+    def _give_way(self, latest: np.ndarray, wrenches: np.ndarray) -> None:
+        """Admittance of the feet to what they bear, against the wrenches (2, 6) asked for."""
+        data = self._data
+        rotations = data.site_xmat[self._sites].reshape(2, 3, 3)
+        sensors = self._walker.scene.sensors
+        force = latest[sensors.ground_force_world]
+        pressure = latest[sensors.pressure_pos_world]
+        measured, wanted = np.zeros((2, 6)), np.zeros((2, 6))
+        for side in range(2):
+            sole = data.site_xpos[self._sites[side]]
+            if force[side, 2] > 1.0:
+                measured[side] = sole_wrench(force[side], pressure[side], sole, rotations[side])
+            wanted[side] = np.kron(np.eye(2), rotations[side].T) @ wrenches[side]
+        self._admittance.follow(wanted, measured, self._standing(), PART_S)
+
+    def _joint_targets(self, wrenches: np.ndarray) -> np.ndarray:
+        body, pendulum = self._body, self._pendulum
+        ground_m = self._feet[:, 2].mean()
+        if self._swing is not None:
+            ground_m = self._feet[1 - self._swing_side, 2]
+        wish = ground_m + self._height_m
+        self._com_z_m += float(np.clip(wish - self._com_z_m, -SINK_M_S * PART_S, SINK_M_S * PART_S))
+        target = self._targets(np.array([*pendulum.com, self._com_z_m]))
+        dq = body.follow(target, PART_S)[self._body.scene.joint_qvel]
+        torque = body.torque_nm(wrenches)
+        angles = body.qpos[body.scene.joint_qpos]
+        return joint_targets(self._walker.robot, angles, dq, torque)
+
+    def _standing(self) -> np.ndarray:
+        standing = np.ones(2, dtype=bool)
+        if self._swing is not None:
+            standing[self._swing_side] = False
+        return standing
+
+    def _wrenches(self, com: np.ndarray, asked: np.ndarray) -> np.ndarray:
+        """Of the ground on the soles, for an acceleration (2,) of the centre of mass."""
+        standing = self._standing()
+        load = standing.astype(float)
+        soles = self._data.site_xpos[self._sites]
+        if standing.all():
+            zmp = com[:2] - asked / self._omega**2
+            across = soles[1, :2] - soles[0, :2]
+            right = float((zmp - soles[0, :2]) @ across / (across @ across))
+            right = min(max(right, 0.05), 0.95)
+            load = np.array([1 - right, right])
+        rotations = self._data.site_xmat[self._sites].reshape(2, 3, 3)
+        return self._distribution.share(
+            self._mass_kg, com, np.array([*asked, 0.0]), soles, rotations, load
+        )
+
+    def _targets(self, com: np.ndarray) -> BodyTargets:
+        feet, admittance = self._feet, self._admittance
+        soles = feet[:, :3].copy()
+        soles[:, 2] += admittance.height_m
+        turn = wrap_angle(feet[1, 3] - feet[0, 3])
+        return BodyTargets(
+            soles=soles,
+            rotations=np.stack(
+                [
+                    tilted(pose[3], tilt)
+                    for pose, tilt in zip(feet, admittance.tilt_rad, strict=True)
+                ]
+            ),
+            standing=self._standing(),
+            com=com,
+            yaw_rad=float(feet[0, 3] + turn / 2),
+        )
+
+    def _move_swing_foot(self, latest: np.ndarray, steps: UpcomingSteps) -> None:
+        cursor, row = self._walker.cursor, self._row
+        swinging = bool(cursor.swinging[row])
+        side = int(cursor.side[row])
+        if self._swing is None and swinging and not self._landed:
+            self._anchor(1 - side)
+            self._swing_side = side
+            self._admittance.release(side)
+            over_z_m = float(cursor.swing_over_z_m[row])
+            self._swing = swing_over(self._feet[side].copy(), steps.pose_world[0], over_z_m)
+        elif self._landed and not swinging:
+            self._landed = False
+        if self._swing is None:
+            return
+        side = self._swing_side
+        target = cursor.foot_targets[row, side]
+        time_s = -steps.lift_off_s[0] if len(steps.side) else np.inf
+        swing_s = steps.touch_down_s[0] - steps.lift_off_s[0] if len(steps.side) else 0.1
+        sensors = self._walker.scene.sensors
+        force_n = float(latest[sensors.ground_force_world[side, 2]])
+        sole_z_m = float(self._feet[side, 2])
+        if has_landed(sole_z_m, target[2], time_s, swing_s, force_n):
+            self._swing, self._landed = None, swinging
+            return
+        self._feet[side] = self._swing.pose(target, time_s, swing_s)
+
+    def _anchor(self, side: int) -> None:
+        """Turn and move the whole posture on the floor to where its support foot really stands."""
+        measured = self._measured_soles()[side]
+        mine = self._feet[side]
+        yaw = float(wrap_angle(measured[3] - mine[3]))
+        turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+        offset = measured[:2] - turn @ mine[:2]
+        self._pendulum.shift(turn, offset)
+        self._feet[:, :2] = self._feet[:, :2] @ turn.T + offset
+        self._feet[:, 3] += yaw
+        qpos = self._body.qpos
+        qpos[:2] = turn @ qpos[:2] + offset
+        quat = np.zeros(4)
+        mujoco.mju_mulQuat(quat, np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]), qpos[3:7])
+        qpos[3:7] = quat
+        self._body.move(qpos)
+
+
+def _later(steps: UpcomingSteps, time_s: float) -> UpcomingSteps:
+    return replace(
+        steps, lift_off_s=steps.lift_off_s - time_s, touch_down_s=steps.touch_down_s - time_s
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LipmController:
+    """Walks any robot whose servos are `stiff`; needs no training and is told the true state."""
+
+    is_paced: ClassVar[bool] = False
+
+    def step_range_s(self, robot: Robot) -> tuple[float, float]:
+        """Shortest and longest duration of a step: the robot's own."""
+        return robot.gait.step_s, robot.gait.step_s
+
+    def require_pace(self, robot: Robot, step_s: ArrayLike) -> None:
+        """Checks that it can take steps of these durations.
+
+        Raises:
+            ControllerError: it walks at another pace.
+        """
+        require_pace(robot, step_s)
+
+    def start(self, walker: Walker) -> Callable[[], np.ndarray]:
+        """A function that advances the walker by one control step, as `Walker.act` does.
+
+        A robot of which a stage fails keeps its last joint targets; `walker.failures` says why.
+        """
+        rows = [RobotControl(walker, row) for row in range(walker.sim.count)]
+        sent = np.tile(walker.robot.half_sitting_rad, (len(rows), 1))
+
+        def tick() -> np.ndarray:
+            parts = iter(range(PARTS))
+
+            def targets(latest: np.ndarray) -> np.ndarray:
+                part = next(parts)
+                for row, control in enumerate(rows):
+                    if walker.failures[row]:
+                        continue
+                    try:
+                        sent[row] = control.targets(latest[row], part)
+                    except StageFailed as failure:
+                        walker.failures[row] = str(failure)
+                return sent
+
+            return walker.act_in_parts(PARTS, targets)
+
+        return tick

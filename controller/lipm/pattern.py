@@ -1,0 +1,203 @@
+"""The walking pattern: support phases of the coming steps, and the centre of mass over them.
+
+The centre of mass is that of a linear inverted pendulum, whose zero-tilting moment point (ZMP) is
+p = c - (h / g) cdd. A linear model predictive controller chooses its jerk so that the ZMP follows
+the support feet: Wieber 2006, "Trajectory free linear model predictive control for stable walking
+in the presence of strong perturbations"; with the terminal condition of Caron, Kheddar, Tempier
+2019, "Stair climbing stabilization of the HRP-4 humanoid robot using whole-body admittance
+control", sec. II.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import daqp
+import numpy as np
+
+from controller.step_cursor import UpcomingSteps
+from sim.robot import GRAVITY_M_S2
+
+SAMPLE_S, SAMPLES = 0.05, 32
+# Weights of squared jerk, of squared distance of ZMP and reference, and of what a ZMP is outside
+# its sole by, where it cannot be inside.
+JERK_WEIGHT, ZMP_WEIGHT = 1e-3, 1000.0
+# The ZMP keeps to this share of a sole; the rest is for the feedback.
+SOLE_SHARE = 0.7
+# Before the first step the weight goes over to its support foot within this time.
+SHIFT_S = 0.6
+# daqp's flags of a solution, and of a constraint that is an equation.
+OPTIMAL, EQUATION = 1, 5
+
+
+class StageFailed(RuntimeError):
+    """A stage of the controller found no solution; the message names the stage."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Phase:
+    """A support phase that ends at `end_s` from now, and its ZMP, which moves evenly over it.
+
+    `sole` is the pose x, y, z, yaw of the support foot in single support, None in double support.
+    """
+
+    begin_s: float
+    end_s: float
+    zmp_from: np.ndarray
+    zmp_to: np.ndarray
+    sole: np.ndarray | None = None
+
+
+def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
+    """Support phases from now on, of feet (2, 4) that stand and steps to come; the last is endless.
+
+    Of the foot that swings, `feet_world` may hold anything.
+    """
+    feet = feet_world.copy()
+    middle = feet[:, :2].mean(axis=0)
+    if not len(steps.side):
+        return [Phase(begin_s=0.0, end_s=np.inf, zmp_from=middle, zmp_to=middle)]
+    phases: list[Phase] = []
+    begin_s, zmp = steps.lift_off_s[0] - SHIFT_S, middle
+    if begin_s > 0:
+        phases.append(Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle))
+    for k, side in enumerate(steps.side):
+        support = feet[1 - side].copy()
+        lift_off_s, touch_down_s = steps.lift_off_s[k], steps.touch_down_s[k]
+        if lift_off_s > 0:
+            phases.append(
+                Phase(begin_s=begin_s, end_s=lift_off_s, zmp_from=zmp, zmp_to=support[:2])
+            )
+        if touch_down_s > 0:
+            phases.append(
+                Phase(
+                    begin_s=lift_off_s,
+                    end_s=touch_down_s,
+                    zmp_from=support[:2],
+                    zmp_to=support[:2],
+                    sole=support,
+                )
+            )
+            feet[side] = steps.pose_world[k]
+        zmp, begin_s = support[:2], touch_down_s
+    middle = feet[:, :2].mean(axis=0)
+    phases.append(Phase(begin_s=begin_s, end_s=begin_s + SHIFT_S, zmp_from=zmp, zmp_to=middle))
+    phases.append(Phase(begin_s=begin_s + SHIFT_S, end_s=np.inf, zmp_from=middle, zmp_to=middle))
+    return phases
+
+
+def phase_at(phases: Sequence[Phase], time_s: float) -> Phase:
+    """The phase at a time from now."""
+    return next(phase for phase in phases if time_s < phase.end_s)
+
+
+def zmp_reference(phase: Phase, time_s: float) -> np.ndarray:
+    """The ZMP x, y of a phase at a time within it."""
+    if not np.isfinite(phase.end_s):
+        return phase.zmp_to
+    share = np.clip((time_s - phase.begin_s) / (phase.end_s - phase.begin_s), 0.0, 1.0)
+    return (1 - share) * phase.zmp_from + share * phase.zmp_to
+
+
+@dataclass
+class Pendulum:
+    """The centre of mass of the pattern: position, velocity and acceleration (2,) x, y."""
+
+    com: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+
+    def advance(self, jerk: np.ndarray, time_s: float) -> None:
+        """Integrate over a time with constant jerk (2,)."""
+        t = time_s
+        self.com = self.com + t * self.velocity + t**2 / 2 * self.acceleration + t**3 / 6 * jerk
+        self.velocity = self.velocity + t * self.acceleration + t**2 / 2 * jerk
+        self.acceleration = self.acceleration + t * jerk
+
+    def shift(self, turn: np.ndarray, offset: np.ndarray) -> None:
+        """Turn everything by a rotation (2, 2) and move it by an offset (2,)."""
+        self.com = turn @ self.com + offset
+        self.velocity, self.acceleration = turn @ self.velocity, turn @ self.acceleration
+
+
+class PatternGenerator:
+    """Chooses the jerk (SAMPLES, 2) of a pendulum of this height with this half sole (2,)."""
+
+    def __init__(self, height_m: float, half_sole_m: np.ndarray):
+        n, t = SAMPLES, SAMPLE_S
+        self._half_sole_m = half_sole_m
+        self.relaxed = 0
+        self._omega = np.sqrt(GRAVITY_M_S2 / height_m)
+        step = np.array([[1, t, t**2 / 2], [0, 1, t], [0, 0, 1]])
+        inputs = np.array([t**3 / 6, t**2 / 2, t])
+        # State after sample k + 1: free[k] @ state + forced[k] @ jerk.
+        free, forced = np.zeros((n, 3, 3)), np.zeros((n, 3, n))
+        power = np.eye(3)
+        for k in range(n):
+            power = step @ power
+            free[k] = power
+            if k:
+                forced[k] = step @ forced[k - 1]
+            forced[k, :, k] = inputs
+        zmp = np.array([1.0, 0.0, -1 / self._omega**2])
+        dcm = np.array([1.0, 1 / self._omega, 0.0])
+        self._zmp_free, self._zmp_forced = zmp @ free, zmp @ forced
+        self._end_free = np.stack([zmp @ free[-1], dcm @ free[-1]])
+        self._end_forced = np.stack([zmp @ forced[-1], dcm @ forced[-1]])
+        axis = JERK_WEIGHT * np.eye(n) + ZMP_WEIGHT * self._zmp_forced.T @ self._zmp_forced
+        self._cost = np.kron(np.eye(2), axis)
+
+    def solve(self, pendulum: Pendulum, phases: Sequence[Phase]) -> np.ndarray:
+        """The jerk (SAMPLES, 2) over the horizon.
+
+        Raises:
+            StageFailed: there is none, even with the ZMP anywhere.
+        """
+        state = np.stack([pendulum.com, pendulum.velocity, pendulum.acceleration])
+        times = SAMPLE_S * (np.arange(SAMPLES) + 1)
+        at = [phase_at(phases, time) for time in times]
+        reference = np.array([zmp_reference(p, t) for p, t in zip(at, times, strict=True)])
+        free_zmp = self._zmp_free @ state
+        slope = ZMP_WEIGHT * (self._zmp_forced.T @ (free_zmp - reference)).T.ravel()
+        end = np.vstack([reference[-1], reference[-1]]) - self._end_free @ state
+        equations = np.kron(np.eye(2), self._end_forced)
+        rows, middle = [], []
+        for k, phase in enumerate(at):
+            if phase.sole is None:
+                continue
+            yaw = phase.sole[3]
+            turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+            rows.append(np.kron(turn, self._zmp_forced[k]))
+            middle.append(turn @ (phase.sole[:2] - free_zmp[k]))
+        inside = np.vstack(rows) if rows else np.zeros((0, 2 * SAMPLES))
+        centre = np.concatenate(middle) if middle else np.zeros(0)
+        bound = np.tile(self._half_sole_m * SOLE_SHARE, len(rows))
+        jerk = self._minimum(slope, equations, end.T.ravel(), inside, centre, bound)
+        if jerk is None:
+            self.relaxed += 1
+            none = np.zeros((0, 2 * SAMPLES)), np.zeros(0), np.zeros(0)
+            jerk = self._minimum(slope, equations, end.T.ravel(), *none)
+        if jerk is None:
+            raise StageFailed("the walking pattern has no solution")
+        return jerk.reshape(2, SAMPLES).T
+
+    def _minimum(
+        self,
+        slope: np.ndarray,
+        equations: np.ndarray,
+        values: np.ndarray,
+        inside: np.ndarray,
+        centre: np.ndarray,
+        bound: np.ndarray,
+    ) -> np.ndarray | None:
+        sense = np.r_[np.full(len(values), EQUATION), np.zeros(len(bound))].astype(np.int32)
+        jerk, _, flag, _ = daqp.solve(
+            self._cost,
+            slope,
+            np.ascontiguousarray(np.vstack([equations, inside])),
+            np.concatenate([values, centre + bound]),
+            np.concatenate([values, centre - bound]),
+            sense,
+        )
+        return np.asarray(jerk) if flag == OPTIMAL else None
