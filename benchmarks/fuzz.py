@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import json
 import os
 import random
 import resource
@@ -26,15 +25,14 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from app.cli import COMMANDS, load_run, main
 from app.output import ExitCode
+from benchmarks.damage import ODD, damaged, odd_json, odd_picture, odd_yaml
 from controller.policy import POLICY_FOLDER
 from planner.plan import FootstepPlan
 
@@ -48,74 +46,38 @@ NO_ERRORS = ("warning: ", "compiling")
 FOUR = "these four lines"
 MAPS = Path(__file__).resolve().parent.parent / "maps"
 GOAL = ["--goal", "0.4,0.1,0"]
-# Whether a word is absurd depends on where it stands: each is tried everywhere.
-ODD = [
-    *(
-        "",
-        " ",
-        "-",
-        "--",
-        "nan",
-        "inf",
-        "-inf",
-        "1e400",
-        "-0.0",
-        "1e-320",
-        "0",
-        "-1",
-        "0x10",
-        "1_0",
-    ),
-    *("99999999999999999999", "9" * 400, "1" * 5000, "2,1", "2,1,1.57,0", "nan,0,0", "1e300,0,0"),
-    *(
-        "1e9,1e9,0",
-        "a" * 5000,
-        "/",
-        ".",
-        "..",
-        "/dev/null",
-        "/dev/full",
-        "/proc/self/mem",
-        "/root/x",
-    ),
-    *(
-        "~",
-        "*",
-        "\t",
-        "\n",
-        "a\nb",
-        "é",
-        "\udcff",
-        "٣",
-        "true",
-        "none",
-        "[]",
-        "{}",
-        "null",
-        "2 1 1",
-    ),
-    *(
-        "file:///etc/passwd",
-        "map.png/x",
-        "x" * 255 + ".png",
-        "a.png",
-        "a.npz",
-        "--help",
-        "%s",
-        "$HOME",
-    ),
-]
-WORDS = [
-    *ODD,
-    "[1, 2]",
-    "{a: 1}",
-    "&a [*a]",
-    "!!python/object:os.system x",
-    "1e-2",
-    "|",
-    ">",
-    "? x",
-]
+STEP_MODEL = """format: step-model/1
+name: small
+foot: {length_m: 0.2, width_m: 0.1}
+body: {length_m: 0.24, width_m: 0.36}
+limits:
+  x_m: [-0.15, 0.3]
+  y_m: [0.15, 0.35]
+  yaw_rad: [-0.2, 0.4]
+steps: [[0, 0.2, 0], [0.2, 0.2, 0], [-0.1, 0.2, 0], [0, 0.3, 0], [0.1, 0.2, 0.3]]
+stance_width_m: 0.2
+step_cost_m: 0.1
+cell_m: 0.05
+headings: 64
+"""
+OLD_STEPS = """footsteps:
+  x: [0.0, 0.2, -0.1, 0.0, 0.1]
+  y: [0.2, 0.2, 0.2, 0.3, 0.2]
+  theta: [0.0, 0.0, 0.0, 0.0, 0.3]
+step_range: {x: [0.3, 0.3, -0.15, -0.15], y: [0.15, 0.35, 0.35, 0.15]}
+"""
+OLD_PARAMETERS = """planner_type: ARAPlanner
+accuracy:
+  collision_check: 2
+  cell_size: 0.05
+  num_angle_bins: 64
+step_cost: 0.1
+foot:
+  size: {x: 0.2, y: 0.1, z: 0.015}
+  separation: 0.2
+  origin_shift: {x: 0.0, y: 0.0}
+  max: {step: {x: 0.3, y: 0.35, theta: 0.4}, inverse: {step: {x: -0.15, y: 0.15, theta: -0.2}}}
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,126 +93,6 @@ class Arguments:
     only: int | None = None
     kinds: tuple[str, ...] = ()
     keep: Path | None = None
-
-
-def damaged(data: bytes, draw: random.Random) -> bytes:
-    """The bytes with some changed, cut, put in, doubled, or gone."""
-    changed = bytearray(data)
-    for _ in range(draw.choice((1, 1, 1, 2, 5, 30))):
-        at = (
-            draw.randrange(len(changed) + 1)
-            if draw.random() < 0.6
-            else draw.randrange(1 + min(len(changed), 64))
-        )
-        how = draw.randrange(6)
-        if how == 0 and changed:
-            changed[min(at, len(changed) - 1)] ^= 1 << draw.randrange(8)
-        elif how == 1 and changed:
-            changed[min(at, len(changed) - 1)] = draw.choice((0, 255, draw.randrange(256)))
-        elif how == 2 and draw.random() < 0.5:
-            del changed[at:]
-        elif how == 3:
-            del changed[at : at + draw.choice((1, 2, 4, 50))]
-        elif how == 4:
-            changed[at:at] = draw.randbytes(draw.choice((1, 4, 50)))
-        else:
-            changed[at:at] = changed[at : at + draw.choice((4, 50, 500))]
-    return bytes(changed)
-
-
-def odd_document(value: object, draw: random.Random) -> object:
-    """A JSON document in which one value, somewhere, is another, is gone, or is buried in lists."""
-    if isinstance(value, dict) and value and draw.random() < 0.9:
-        key = draw.choice(list(value))
-        if draw.random() < 0.15:
-            return {k: v for k, v in value.items() if k != key}
-        return {**value, key: odd_document(value[key], draw)}
-    if isinstance(value, list) and value and draw.random() < 0.8:
-        at = draw.randrange(len(value))
-        if draw.random() < 0.15:
-            return value[:at] + value[at + 1 :]
-        return [*value[:at], odd_document(value[at], draw), *value[at + 1 :]]
-    odd = [
-        None,
-        True,
-        -1,
-        0,
-        10**30,
-        1e308,
-        float("nan"),
-        float("inf"),
-        "",
-        [],
-        {},
-        [value],
-        {"a": value},
-    ]
-    return draw.choice([*odd, draw.choice(ODD), str(value), [[[[]]]], [value] * 1000])
-
-
-def odd_json(text: str, draw: random.Random) -> bytes:
-    """JSON text with its bytes damaged, a value replaced, or nested too deep to read."""
-    how = draw.random()
-    if how < 0.3:
-        return damaged(text.encode(), draw)
-    if how < 0.33:
-        return b"[" * 100_000
-    return json.dumps(odd_document(json.loads(text), draw)).encode("utf-8", "surrogatepass")
-
-
-def odd_yaml(text: str, draw: random.Random) -> bytes:
-    """A map's YAML with lines that are odd, gone, there twice, or damaged."""
-    lines = text.splitlines()
-    for _ in range(draw.choice((1, 1, 2, 4))):
-        at = draw.randrange(len(lines))
-        how = draw.randrange(6)
-        if how == 0:
-            lines.append(lines[at])
-        elif how == 1 and len(lines) > 1:
-            del lines[at]
-        elif how == 2:
-            lines[at] = draw.choice(WORDS)
-        elif how == 3:
-            return damaged("\n".join(lines).encode(), draw)
-        else:
-            lines[at] = (
-                lines[at].split(":")[0] + ":" + draw.choice((" ", "", "\t")) + draw.choice(WORDS)
-            )
-    if draw.random() < 0.03:
-        nested = [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 12)]
-        lines = [
-            "a0: &a0 x",
-            *nested,
-            *lines[1:],
-            draw.choice(("image", "origin", "negate")) + ": *a11",
-        ]
-    return "\n".join(lines).encode("utf-8", "surrogatepass")
-
-
-def odd_picture(draw: random.Random) -> tuple[str, bytes]:
-    """A small picture of a room in one of the formats, as a file name and damaged bytes."""
-    grey = np.full((60, 80), 254, np.uint8)
-    grey[:2], grey[:, :2], grey[20:30, 50:] = 0, 0, 0
-    form = draw.choice((".png", ".pgm", ".bmp", ".jpg", ".png", ".ppm", ".tif", ".webp"))
-    many = draw.choice(
-        (grey, cv2.merge([grey] * 3), cv2.merge([grey] * 4), grey.astype(np.uint16) * 257)
-    )
-    data = _encoded(form, many) or _encoded(form, grey)
-    if form == ".pgm" and draw.random() < 0.3:
-        sizes = draw.choice((b"60000 60000", b"999999999 999999999", b"0 0", b"-1 60", b"1 4800"))
-        data = data.replace(b"80 60", sizes)
-    if form == ".png" and draw.random() < 0.2:
-        width = draw.choice((0, 1, 60_000, 2**31 - 1)).to_bytes(4, "big")
-        data = data[:16] + width + draw.choice((width, data[20:24])) + data[24:]
-    return f"map{form}", data if draw.random() < 0.05 else damaged(data, draw)
-
-
-def _encoded(form: str, picture: NDArray[Any]) -> bytes:
-    """A picture as a file of this form; empty where the form cannot hold it."""
-    with contextlib.suppress(cv2.error):
-        done, data = cv2.imencode(form, picture)
-        return data.tobytes() if done and isinstance(data, np.ndarray) else b""
-    return b""
 
 
 def try_picture(folder: Path, draw: random.Random) -> list[str]:
@@ -271,6 +113,21 @@ def try_yaml(folder: Path, draw: random.Random) -> list[str]:
     yaml = folder / f"{name}.yaml"
     yaml.write_bytes(odd_yaml((MAPS / yaml.name).read_text(), draw))
     return ["plan", "--map", str(draw.choice((yaml, yaml.with_suffix(".png")))), *GOAL]
+
+
+def try_step_model(folder: Path, draw: random.Random) -> list[str]:
+    """`plan` with an odd step model, in this project's format or the old package's."""
+    if draw.random() < 0.5:
+        name, files = "model.yaml", {"model.yaml": STEP_MODEL}
+    else:
+        files = {"footsteps_r.yaml": OLD_STEPS, "planning_params_r.yaml": OLD_PARAMETERS}
+        name = draw.choice(list(files))
+    odd = draw.choice(list(files))
+    for file, text in files.items():
+        data = odd_yaml(text, draw) if file == odd else text.encode()
+        (folder / file).write_bytes(data)
+    room = ["--map", str(MAPS / "room.png"), *GOAL]
+    return ["plan", *room, "--step-model", str(folder / name)]
 
 
 def try_policy(folder: Path, draw: random.Random) -> list[str]:
@@ -372,6 +229,7 @@ def try_words(folder: Path, draw: random.Random) -> list[str]:
 KINDS: dict[str, Callable[[Path, random.Random], list[str]]] = {
     "picture": try_picture,
     "yaml": try_yaml,
+    "step model": try_step_model,
     "policy": try_policy,
     "plan": try_plan,
     "corpus": try_corpus,

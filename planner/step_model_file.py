@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
@@ -186,9 +187,11 @@ def _sizes(path: Path, document: Mapping[str, Any], name: str) -> dict[str, floa
 
 
 def _number(path: Path, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise StepModelError(f"{path}: {key} {value!r} must be a finite number")
-    return float(value)
+    if not isinstance(value, bool) and isinstance(value, (int, float)):
+        with contextlib.suppress(OverflowError):  # of whole numbers with hundreds of digits
+            if math.isfinite(value):
+                return float(value)
+    raise StepModelError(f"{path}: {key} {value!r} must be a finite number")
 
 
 def _whole(path: Path, key: str, value: Any) -> int:
