@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -37,7 +38,10 @@ def in_order(
         return
     try:
         with _worker_pool(workers) as pool:
-            yield from pool.map(function, jobs)
+            # Not pool.map, which cancels from this thread what its own is giving up.
+            waiting = deque(pool.submit(function, job) for job in jobs)
+            while waiting:
+                yield waiting.popleft().result()
     except BrokenProcessPool:
         raise InputError(
             "a process died, perhaps for want of memory: try fewer --workers"
