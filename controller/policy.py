@@ -50,8 +50,8 @@ class Policy:
         return [str(name) for name, _ in self.about["observation"]][-1] == "step_s"
 
     def step_range_s(self, robot: Robot) -> tuple[float, float]:
-        """Shortest and longest duration of a step that it was trained to take."""
-        if not self.is_paced:
+        """Shortest and longest duration of a step that it is known to be trained for."""
+        if not self.is_paced or "trained" not in self.about:
             return robot.gait.step_s, robot.gait.step_s
         shortest_s, longest_s = self.about["trained"]["config"]["task"]["step_s"]
         return float(shortest_s), float(longest_s)

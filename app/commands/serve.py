@@ -39,6 +39,11 @@ class ServeOptions(PlanningOptions):
     host: Annotated[str, text("ADDRESS")] = "127.0.0.1"
     """Address to serve at, such as 0.0.0.0 for everybody who can reach this machine."""
 
+    allow_host: Annotated[
+        tuple[str, ...], text("NAME,...", lambda w: tuple(w.lower().split(",")))
+    ] = ()
+    """Further names under which the page is asked for, such as that of a proxy, robot.local."""
+
     port: Annotated[int, whole_number(at_least=0, metavar="PORT")] = 8080
     """Port to serve at, such as 8080; 0 for any that is free."""
 
@@ -65,6 +70,7 @@ def run(options: ServeOptions) -> int:
         policy,
         title=f"Footfall: {options.map}",
         host=options.host,
+        names=options.allow_host,
         port=options.port,
         start=options.start,
         options=options.planner_options(),

@@ -221,6 +221,7 @@ def open_page(
     *,
     title: str,
     host: str = LOCAL,
+    names: Sequence[str] = (),
     port: int = 0,
     start: Sequence[float] = (0.0, 0.0, 0.0),
     goal: Sequence[float] | None = None,
@@ -237,7 +238,7 @@ def open_page(
         InputError: The address cannot be had.
     """
     with contextlib.ExitStack() as stack:
-        server = open_server(host=host, port=port, title=title)
+        server = open_server(host=host, port=port, title=title, names=names)
         stack.callback(server.stop)
         session = Session(grid, robot, policy, start=start, goal=goal, options=options, seed=seed)
         stack.callback(session.close)

@@ -6,13 +6,14 @@ import asyncio
 import contextlib
 import io
 import socket
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Sequence
 from functools import partial
 from typing import Any
 
 import viser
 
 from app.output import InputError
+from app.viewer.access import ANY_ADDRESS, KEY, Access, guarding
 
 LOCAL = "127.0.0.1"
 
@@ -102,6 +103,8 @@ def _after(buffer: Any, client_id: int, sent_id: int, last_id: int) -> tuple[lis
 class PageServer(viser.ViserServer):
     """A viser server that opens no tunnel to other networks, whatever a page asks for."""
 
+    access: Access
+
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuses: what is served here is for those who can reach this machine."""
         return None
@@ -115,7 +118,9 @@ class PageServer(viser.ViserServer):
     def url(self) -> str:
         """What to type into the browser."""
         host = self.get_host()
-        return f"http://{'localhost' if host in ('0.0.0.0', '::') else host}:{self.get_port()}"
+        host = "localhost" if host in ANY_ADDRESS else f"[{host}]" if ":" in host else host
+        key = f"/?{KEY}={self.access.key}" if self.access.key else ""
+        return f"http://{host}:{self.get_port()}{key}"
 
     @property
     def broadcast(self) -> Any:
@@ -123,16 +128,22 @@ class PageServer(viser.ViserServer):
         return self._websock_server.get_message_buffer()
 
 
-def open_server(*, host: str = LOCAL, port: int = 0, title: str) -> PageServer:
+def open_server(
+    *, host: str = LOCAL, port: int = 0, title: str, names: Sequence[str] = ()
+) -> PageServer:
     """A server at this address; with port 0 the system chooses a free one.
+
+    names: hosts besides this one under which it may be asked for.
 
     Raises:
         InputError: The address cannot be had.
     """
     port = _free_port(host, port)
     # viser announces itself on standard output, which belongs to results.
-    with contextlib.redirect_stdout(io.StringIO()):
+    access = Access.at(host, names)
+    with contextlib.redirect_stdout(io.StringIO()), guarding(access):
         server = PageServer(host=host, port=port, label=title, verbose=False)
+    server.access = access
     make_thread_safe(server.broadcast)
     skip_superseded(server.broadcast)
     # Before anybody waits for the messages of a new page.

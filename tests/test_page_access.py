@@ -1,0 +1,151 @@
+"""Who may steer the robot of a page: bare requests and sockets, as browsers and strangers send."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import random
+import re
+from collections.abc import Iterator
+
+import pytest
+import viser
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from app.viewer.access import COOKIE, LOOPBACK
+from app.viewer.server import PageServer, open_server
+
+UPGRADE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+}
+
+
+@pytest.fixture(scope="module")
+def local() -> Iterator[PageServer]:
+    server = open_server(title="local", names=["robot.lab"])
+    yield server
+    server.stop()
+
+
+@pytest.fixture(scope="module")
+def public() -> Iterator[PageServer]:
+    server = open_server(title="public", host="0.0.0.0")
+    yield server
+    server.stop()
+
+
+def answer(server: PageServer, path: str = "/", **headers: str) -> http.client.HTTPResponse:
+    """What a server answers to a request with these headers."""
+    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=60)
+    connection.request("GET", path, headers=headers)
+    response = connection.getresponse()
+    if response.status != 101:
+        response.read()
+    connection.close()
+    return response
+
+
+def socket_answer(server: PageServer, **headers: str) -> int:
+    """The status with which a socket is let in (101) or not, from a page of `Origin`."""
+    return answer(server, **UPGRADE, **headers).status
+
+
+def test_its_own_pages_may_open_a_socket(local):
+    port = local.get_port()
+    for name in LOOPBACK:
+        place = f"[{name}]:{port}" if ":" in name else f"{name}:{port}"
+        assert answer(local, Host=place).status == 200
+        assert socket_answer(local, Host=place, Origin=f"http://{place}") == 101
+    assert socket_answer(local, Host=f"localhost:{port}") == 101  # a program, and no browser
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [
+        "http://evil.example",
+        "https://localhost.evil.example",
+        "http://localhost",
+        "http://localhost:3000",
+        "http://127.0.0.1:{port}",
+        "null",
+        "",
+        "http://[",
+        "file://",
+    ],
+)
+def test_pages_from_elsewhere_may_not(local, origin):
+    port = local.get_port()
+    asked = f"localhost:{port}"
+    assert socket_answer(local, Host=asked, Origin=origin.format(port=port)) == 403
+
+
+@pytest.mark.parametrize("name", ["evil.example", "localhost.evil.example", "127.0.0.1.nip.io", ""])
+def test_a_name_that_is_turned_to_this_machine_is_not_its_own(local, name):
+    place = f"{name}:{local.get_port()}"
+    assert answer(local, Host=place).status == 403
+    assert socket_answer(local, Host=place, Origin=f"http://{place}") == 403
+
+
+def test_a_proxy_that_is_named_may(local):
+    port = local.get_port()
+    assert socket_answer(local, Host="robot.lab", Origin="https://robot.lab") == 101
+    assert socket_answer(local, Host=f"127.0.0.1:{port}", Origin="https://robot.lab") == 101
+    assert socket_answer(local, Host="other.lab", Origin="https://other.lab") == 403
+
+
+def test_a_page_that_others_can_reach_wants_the_key_of_its_link(public):
+    port, place = public.get_port(), f"127.0.0.1:{public.get_port()}"
+    link = re.fullmatch(rf"http://localhost:{port}(/\?key=([\w-]{{22}}))", public.url)
+    assert link
+    path, key = link.groups()
+    assert answer(public, Host=place).status == 403
+    assert answer(public, "/?key=", Host=place).status == 403
+    assert answer(public, f"/?key={key[:-1]}x", Host=place).status == 403
+    assert socket_answer(public, Host=place, Origin=f"http://{place}") == 403
+    opened = answer(public, path, Host=place)
+    assert opened.status == 200
+    cookie = str(opened.getheader("Set-Cookie")).split(";")[0]
+    assert cookie == f"{COOKIE}={key}"
+    assert socket_answer(public, Host=place, Origin=f"http://{place}", Cookie=cookie) == 101
+    assert socket_answer(public, Host=place, Origin="http://evil.example", Cookie=cookie) == 403
+    assert socket_answer(public, Host=f"evil.example:{port}", Cookie=cookie) == 403
+
+
+def test_every_link_has_a_key_of_its_own(public):
+    other = open_server(title="other", host="0.0.0.0")
+    try:
+        assert other.url.split("key=")[1] != public.url.split("key=")[1]
+    finally:
+        other.stop()
+
+
+def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
+    draw = random.Random(1)
+    nonsense = [
+        "text",
+        b"",
+        b"\x00",
+        b"\xff" * 100,
+        draw.randbytes(1000),
+        b"\x81\xa4type\xa4None",
+        b"\x81\xa4type\xb0GuiUpdateMessage",
+        b"\x91" * 5000,
+        bytes(5 * 1024 * 1024),
+    ]
+    for data in nonsense:
+        url = f"ws://127.0.0.1:{local.get_port()}"
+        capfd.readouterr()
+        with connect(url, subprotocols=[UPGRADE["Sec-WebSocket-Protocol"]], max_size=None) as page:
+            page.send(data)
+            with contextlib.suppress(ConnectionClosed):
+                while True:
+                    page.recv(timeout=60)  # what a page gets first; no end is a TimeoutError
+        told = capfd.readouterr().err
+        assert told.count("\n") <= 1
+        assert "Traceback" not in told
+    assert answer(local, Host=f"127.0.0.1:{local.get_port()}").status == 200
