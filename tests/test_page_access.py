@@ -12,16 +12,18 @@ import pytest
 import viser
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from app.viewer.access import COOKIE, LOOPBACK
 from app.viewer.server import PageServer, open_server
 
+PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 UPGRADE = {
     "Connection": "Upgrade",
     "Upgrade": "websocket",
     "Sec-WebSocket-Version": "13",
     "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
-    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+    "Sec-WebSocket-Protocol": PROTOCOL,
 }
 
 
@@ -126,7 +128,7 @@ def test_every_link_has_a_key_of_its_own(public):
 
 def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
     draw = random.Random(1)
-    nonsense = [
+    nonsense: list[str | bytes] = [
         "text",
         b"",
         b"\x00",
@@ -140,7 +142,7 @@ def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
     for data in nonsense:
         url = f"ws://127.0.0.1:{local.get_port()}"
         capfd.readouterr()
-        with connect(url, subprotocols=[UPGRADE["Sec-WebSocket-Protocol"]], max_size=None) as page:
+        with connect(url, subprotocols=[PROTOCOL], max_size=None) as page:
             page.send(data)
             with contextlib.suppress(ConnectionClosed):
                 while True:

@@ -67,7 +67,7 @@ class NavigateOptions(PlanningOptions, GoalOptions):
     """
 
     controller: ControllerOption = "policy"
-    """Who walks: the trained policy, or lipm, a controller by a model (docs/lipm.md)."""
+    """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
 
     pace: PaceOption = "normal"
     """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
