@@ -297,8 +297,9 @@ def run(words: Sequence[str], folder: Path) -> Answer:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(child, signal.SIGKILL)  # what it left behind
     out, err = ((folder.parent / name).read_text(errors="replace") for name in ("out", "err"))
-    code = None if ended else os.waitstatus_to_exitcode(status)
-    return Answer(code, out, err, used.ru_utime + used.ru_stime, used.ru_maxrss / 1000 - before_mb)
+    answered = None if ended else os.waitstatus_to_exitcode(status)
+    cpu_s, memory_mb = used.ru_utime + used.ru_stime, used.ru_maxrss / 1000 - before_mb
+    return Answer(answered, out, err, cpu_s, memory_mb)
 
 
 def _cpu_s(process: int) -> float:

@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -133,8 +134,6 @@ def visit(browser: Any) -> Iterator[Visit]:
 @pytest.fixture(scope="module")
 def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The image of the hall, with its YAML beside it."""
-    import cv2
-
     folder = tmp_path_factory.mktemp("hall")
     cv2.imwrite(str(folder / "hall.png"), np.full(HALL.shape, 255, np.uint8))
     (folder / "hall.yaml").write_text(
@@ -200,6 +199,28 @@ def test_what_is_impossible_is_told_and_a_pose_offered(visit, address):
     page.get_by_role("button", name="Go to the nearest free pose").click()
     visit.heading("Walking")
     assert visit.errors == []
+
+
+@pytest.mark.slow
+def test_maps_are_chosen_and_sent_and_the_page_stays_open(visit, address, tmp_path):
+    """The last of those that share the server: it leaves the hall."""
+    page = visit.page
+    page.goto(address)
+    visit.heading("\\w")
+    page.get_by_text("Map", exact=True).first.click()
+    (tmp_path / "broken.png").write_bytes(b"nothing")
+    page.locator("input[type=file]").set_input_files(tmp_path / "broken.png")
+    visit.reads("not an image that can be read")
+    page.locator("input[value$='hall.png']").first.click()
+    page.get_by_role("option", name="office", exact=True).click()
+    visit.reads("Footfall: office")
+    visit.heading("Standing")
+    floor = np.full((100, 120), 254, np.uint8)
+    assert cv2.imwrite(str(tmp_path / "mine.png"), floor)
+    page.get_by_text("Map", exact=True).first.click()
+    page.locator("input[type=file]").set_input_files(tmp_path / "mine.png")
+    visit.reads("Footfall: mine.png")
+    visit.heading("Standing")
 
 
 @pytest.mark.slow

@@ -19,7 +19,9 @@ from app.options import (
 )
 from app.output import InputError, ProgressBar, say
 from controller.policy import Policy
+from controller.walker import Controller
 from maps.grid import OccupancyGrid
+from maps.map_files import COMES_ALONG
 from sim.robot import Robot
 
 
@@ -54,39 +56,60 @@ _COMPILES = "which is compiled after a change of its code, for half a minute"
 
 
 def run(options: ServeOptions) -> int:
-    """Carries the command out: serves until Ctrl-C."""
-    from app.viewer.page import open_page
+    """Carries the command out: serves until Ctrl-C, one map after another."""
+    from app.viewer.map_chooser import maps_that_come_along
+    from app.viewer.page import Maps, open_page
 
     grid = read_grid(options)
+
+    policy: Controller
 
     def load(name: str) -> tuple[Robot, Policy]:
         return load_walker(name, options.policy if name == options.robot else None)
 
     robot, policy = load(options.robot)
     _check_start(options, grid, robot)
-    with open_page(
-        grid,
-        robot,
-        policy,
-        title=f"Footfall: {options.map}",
-        host=options.host,
-        names=options.allow_host,
-        port=options.port,
-        start=options.start,
-        options=options.planner_options(),
-        seed=options.seed,
-        load=load,
-    ) as page:
-        # Returns when the first click would be answered as soon as any.
-        began_s = time.monotonic()
-        with ProgressBar("loading the planner", None) as bar:
-            while not page.session.is_ready(wait_s=0.2):
-                waited_s = time.monotonic() - began_s
-                bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
-        page.session.start()
-        say(f"open {page.server.url} in a browser; Ctrl-C ends it")
-        page.run()
-    return 0
+    maps = maps_that_come_along()
+    name = _name_of(options.map, maps)
+    start: Pose | tuple[float, float, float] = options.start
+    port, access = options.port, None
+    while True:
+        with open_page(
+            grid,
+            robot,
+            policy,
+            title=f"Footfall: {name}",
+            host=options.host,
+            names=options.allow_host,
+            access=access,
+            port=port,
+            start=start,
+            options=options.planner_options(),
+            seed=options.seed,
+            load=load,
+            maps=Maps({name: options.map} | maps, name),
+        ) as page:
+            # Returns when the first click would be answered as soon as any.
+            began_s = time.monotonic()
+            with ProgressBar("loading the planner", None) as bar:
+                while not page.session.is_ready(wait_s=0.2):
+                    waited_s = time.monotonic() - began_s
+                    bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
+            page.session.start()
+            if access is None:
+                say(f"open {page.server.url} in a browser; Ctrl-C ends it")
+            port, access = page.server.get_port(), page.server.access
+            page.run(is_over=lambda: page.wanted_map is not None)
+            assert page.wanted_map is not None
+            name, grid, start = page.wanted_map
+            robot, policy = page.session.setup.robot, page.session.setup.policy
+
+
+def _name_of(path: Path, maps: dict[str, Path]) -> str:
+    """The name of a map that comes along, or else the path."""
+    place = (path if path.exists() else COMES_ALONG.parent / path).resolve().with_suffix("")
+    along = (name for name, file in maps.items() if file.with_suffix("") == place)
+    return next(along, str(path))
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:

@@ -172,6 +172,23 @@ def place_to_stand(world: World, pose: Pose) -> tuple[str, Pose | None]:
     return blocked, nearest_free_pose(grid, terrain, model, pose) if blocked else None
 
 
+def somewhere_to_stand(world: World) -> Pose | None:
+    """The free pose nearest to 0,0,0, or one where there is most room if that is not within 2 m."""
+    grid, model = world.grid, world.model
+    terrain = terrain_of(grid, world.options.unknown_is_free)
+    row, col = np.unravel_index(np.argmax(terrain.clearance_m), grid.shape)
+    x_m, y_m = grid.cell_to_world((row, col))
+    for pose in ((0.0, 0.0, 0.0), (round(float(x_m), 3), round(float(y_m), 3), 0.0)):
+        if not grid.contains(pose[:2]):
+            continue
+        if not what_blocks(grid, terrain, model, feet_at(pose, model.stance_width_m)):
+            return pose
+        free = nearest_free_pose(grid, terrain, model, pose)
+        if free is not None:
+            return free
+    return None
+
+
 def _nearest_reachable_pose(world: World, planner: Planner, asked: Asked) -> Pose | None:
     """The pose nearest to a free goal without a way to which there is one.
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gzip
+import html
 import http
 import ipaddress
 import logging
+import re
 import secrets
 import socket
 from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -153,11 +156,34 @@ def _tell_of_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> N
     say(f"warning: a page's message could not be carried out ({one_line(told)[:120]})")
 
 
+def titled(answer: Answer, title: str) -> Answer:
+    """The answers of a server with this title on its page, in place of the library's."""
+    named = f"<title>{html.escape(title)}</title>".encode()
+    made: dict[bytes, bytes] = {}  # pages that were asked for, and as they are answered
+
+    def answered(connection: ServerConnection, request: Request) -> Response | None:
+        response = answer(connection, request)
+        if response is None or "text/html" not in response.headers.get("Content-Type", ""):
+            return response
+        body = bytes(response.body)
+        if body not in made:
+            is_zipped = response.headers.get("Content-Encoding") == "gzip"
+            page = gzip.decompress(body) if is_zipped else body
+            page = re.sub(rb"<title>[^<]*</title>", lambda _: named, page, count=1)
+            made[body] = gzip.compress(page) if is_zipped else page
+        response.body = made[body]
+        del response.headers["Content-Length"]
+        response.headers["Content-Length"] = str(len(response.body))
+        return response
+
+    return answered
+
+
 @contextlib.contextmanager
-def guarding(access: Access) -> Iterator[None]:
+def guarding(access: Access, title: str) -> Iterator[None]:
     """Lets servers of websockets that start inside answer whom `access` lets in, and no others.
 
-    viser starts its own and gives no way to look at requests first.
+    viser starts its own and gives no way to look at requests first, nor to name its page.
     """
     serve = websockets.asyncio.server.serve
 
@@ -166,7 +192,10 @@ def guarding(access: Access) -> Iterator[None]:
         # Handshakes that fail are told to whoever asked.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         return serve(
-            survives(handler), *place, process_request=access.guard(process_request), **options
+            survives(handler),
+            *place,
+            process_request=access.guard(titled(process_request, title)),
+            **options,
         )
 
     websockets.asyncio.server.serve = guarded  # type: ignore[misc,assignment]

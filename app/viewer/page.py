@@ -6,13 +6,19 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from app.navigation.live_navigator import Notice
+from app.navigation.planner_process import somewhere_to_stand
 from app.options import load_walker
+from app.viewer.access import Access
 from app.viewer.camera import Cameras
+from app.viewer.map_chooser import MapChooser
 from app.viewer.markers import Footprints, PoseMarkers
 from app.viewer.obstacles import Obstacle, ObstacleEditor
 from app.viewer.panel import Panel
@@ -35,6 +41,7 @@ from controller.policy import Policy
 from controller.walker import Controller
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
+from planner.plan import Pose
 from sim.robot import Robot
 from sim.robots import robot_names
 
@@ -45,8 +52,18 @@ _NOTICE_FOR_S = 6.0
 _IN_THE_WAY = {WALL: "a wall", 0: "a box"}
 
 
+class Maps(NamedTuple):
+    """Maps among which a page lets choose, and the name of the one that is there."""
+
+    all: dict[str, Path]
+    chosen: str
+
+
 class Page:
     """Shows a session to whoever opens the page, and passes their commands on.
+
+    `wanted_map` is what somebody has chosen instead of this map: its name, the map, and a place to
+    stand on it.
 
     Words are shown anew every `text_every_s`, plots every `plot_every_s`, all else at every frame.
     """
@@ -61,6 +78,7 @@ class Page:
         *,
         robots: tuple[str, ...],
         load: Callable[[str], tuple[Robot, Policy]],
+        maps: Maps | None = None,
     ) -> None:
         self.server, self.session, self._load = server, session, load
         self._grid, self._tool = session.setup.bare_grid, Tool.GOAL
@@ -99,9 +117,23 @@ class Page:
             use_tool=self._use,
             toggle_follow=lambda client_id: self.cameras.toggle(client_id),
         )
+        self.wanted_map: tuple[str, OccupancyGrid, Pose] | None = None
+        self.map_chooser: MapChooser | None = None
+        if maps is not None:
+            with server.gui.add_folder("Map", order=self.panel.map_order, expand_by_default=False):
+                self.map_chooser = MapChooser(
+                    server.gui, maps=maps.all, chosen=maps.chosen, on_map=self._want, say=self._say
+                )
         self.cameras = Cameras(server, grid, order=self.panel.switch_order)
         # Whoever goes in the middle of a drag points at nothing any more.
         server.on_client_disconnect(lambda _client: self._pose_markers.point(None))
+
+    def _want(self, name: str, grid: OccupancyGrid) -> None:
+        start = somewhere_to_stand(replace(self.session.setup.world, grid=grid))
+        if start is None:
+            self._say(f"{name}: the robot can stand nowhere on this map")
+        else:
+            self.wanted_map = name, grid, start
 
     @property
     def visitors(self) -> int:
@@ -222,24 +254,30 @@ def open_page(
     title: str,
     host: str = LOCAL,
     names: Sequence[str] = (),
+    access: Access | None = None,
     port: int = 0,
     start: Sequence[float] = (0.0, 0.0, 0.0),
     goal: Sequence[float] | None = None,
     options: PlannerOptions | None = None,
     seed: int = 0,
     load: Callable[[str], tuple[Robot, Policy]] = load_walker,
+    maps: Maps | None = None,
 ) -> Iterator[Page]:
     """A page about one robot on one map; on leaving, robot, planner and server end.
 
     Neither the robot lives nor is the page drawn until somebody says so: `page.session.start()`,
-    `page.run()`. `load` gives the robots among which the page lets choose.
+    `page.run()`. `load` gives the robots among which the page lets choose, `maps` the maps, if it
+    lets choose any; for names and access see `open_server`.
 
     Raises:
         InputError: The address cannot be had.
     """
     with contextlib.ExitStack() as stack:
-        server = open_server(host=host, port=port, title=title, names=names)
+        server = open_server(host=host, port=port, title=title, names=names, access=access)
         stack.callback(server.stop)
         session = Session(grid, robot, policy, start=start, goal=goal, options=options, seed=seed)
         stack.callback(session.close)
-        yield Page(server, session, robots=robot_names(), load=load)
+        page = Page(server, session, robots=robot_names(), load=load, maps=maps)
+        if page.map_chooser is not None:
+            stack.callback(page.map_chooser.close)
+        yield page

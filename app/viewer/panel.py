@@ -45,7 +45,8 @@ class Panel:
     """Controls of all pages that watch: what one does, the others see.
 
     `goal` and `start` are the poses that can be typed, `notice` is what went wrong, in words.
-    `switch_order` is where a page's own switches stand: between walk and goal.
+    `switch_order` is where a page's own switches stand: between walk and goal; `map_order` where it
+    lets choose a map: before the plots.
     """
 
     def __init__(
@@ -89,8 +90,9 @@ class Panel:
             robot = gui.add_dropdown("Robot", robots, initial_value=session.setup.robot.name)
             robot.on_update(lambda _event: set_robot(robot.value))
             self._add_planner_options()
-        with gui.add_folder("Plots"):
+        with gui.add_folder("Plots") as folder:
             self.plots = Plots(gui)
+        self.map_order = folder.order - 0.5
         for tool, key in _TOOL_KEYS.items():
             self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
         for name, key in _SPEED_KEYS.items():

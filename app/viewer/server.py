@@ -129,19 +129,25 @@ class PageServer(viser.ViserServer):
 
 
 def open_server(
-    *, host: str = LOCAL, port: int = 0, title: str, names: Sequence[str] = ()
+    *,
+    host: str = LOCAL,
+    port: int = 0,
+    title: str,
+    names: Sequence[str] = (),
+    access: Access | None = None,
 ) -> PageServer:
     """A server at this address; with port 0 the system chooses a free one.
 
-    names: hosts besides this one under which it may be asked for.
+    names: hosts besides this one under which it may be asked for. access: that of a server whose
+    place this one takes, so that its pages find their way back.
 
     Raises:
         InputError: The address cannot be had.
     """
     port = _free_port(host, port)
     # viser announces itself on standard output, which belongs to results.
-    access = Access.at(host, names)
-    with contextlib.redirect_stdout(io.StringIO()), guarding(access):
+    access = access or Access.at(host, names)
+    with contextlib.redirect_stdout(io.StringIO()), guarding(access, title):
         server = PageServer(host=host, port=port, label=title, verbose=False)
     server.access = access
     make_thread_safe(server.broadcast)
