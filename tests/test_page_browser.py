@@ -21,8 +21,10 @@ import cv2
 import numpy as np
 import pytest
 
+from app.navigation.report import NavigationReport
 from app.viewer.camera import FIELD_OF_VIEW_RAD, overview
 from app.viewer.panel import CHOSEN
+from planner.plan import FootstepPlan
 from tests.programs import ROOT, run_python
 from tests.scenes import HALL
 
@@ -202,6 +204,30 @@ def test_what_is_impossible_is_told_and_a_pose_offered(visit, address):
 
 
 @pytest.mark.slow
+def test_plan_and_report_are_saved(visit, address):
+    page = visit.page
+    page.goto(address)
+    page.get_by_role("button", name="Reset", exact=True).click()
+    visit.heading("Standing")
+    page.get_by_text("Save", exact=True).first.click()
+    page.get_by_role("button", name="report.json", exact=True).click()
+    visit.reads("There is none before the end of the walk")
+    page.get_by_label("x, m", exact=True).fill("0.4")
+    page.get_by_label("y, m", exact=True).fill("0.1")
+    page.get_by_role("button", name=re.compile("Fastest")).click()
+    page.get_by_role("button", name="Go", exact=True).click()
+    visit.heading("Reached")
+    documents = {}
+    for name in ("plan.json", "report.json"):
+        with page.expect_download() as coming:
+            page.get_by_role("button", name=name, exact=True).click()
+        assert coming.value.suggested_filename == name
+        documents[name] = Path(coming.value.path()).read_text(encoding="utf-8")
+    assert FootstepPlan.from_json(documents["plan.json"]).goal[:2] == (0.4, 0.1)
+    assert NavigationReport.from_json(documents["report.json"]).outcome == "reached"
+
+
+@pytest.mark.slow
 def test_maps_are_chosen_and_sent_and_the_page_stays_open(visit, address, tmp_path):
     """The last of those that share the server: it leaves the hall."""
     page = visit.page
@@ -246,8 +272,12 @@ def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
     else:
         pytest.fail("the slider never stayed where it was clicked")
     # The walk is over there: the panel tells all steps and how it ended.
-    done, _, steps = visit.page.inner_text("#walk-step").split()
-    assert done == steps == str(len(json.loads((tmp_path / "plan.json").read_text())["steps"]))
+    steps = str(len(json.loads((tmp_path / "plan.json").read_text())["steps"]))
+    visit.page.wait_for_function(
+        "steps => document.querySelector('#walk-step').innerText.split(/\\s+/)[0] == steps",
+        arg=steps,
+    )
+    assert visit.page.inner_text("#walk-step").split()[2] == steps
     assert visit.page.inner_text("#walk-outcome").startswith("reached, ")
     assert visit.page.inner_text("#walk-error").endswith(" cm")
     assert visit.errors == []

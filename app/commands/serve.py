@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from app.options import (
     FileOption,
@@ -19,10 +19,12 @@ from app.options import (
 )
 from app.output import InputError, ProgressBar, say
 from controller.policy import Policy
-from controller.walker import Controller
 from maps.grid import OccupancyGrid
 from maps.map_files import COMES_ALONG
 from sim.robot import Robot
+
+if TYPE_CHECKING:
+    from controller.walker import Controller
 
 
 @dataclass(frozen=True, kw_only=True)

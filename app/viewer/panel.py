@@ -90,6 +90,9 @@ class Panel:
             robot = gui.add_dropdown("Robot", robots, initial_value=session.setup.robot.name)
             robot.on_update(lambda _event: set_robot(robot.value))
             self._add_planner_options()
+        with gui.add_folder("Save", expand_by_default=False):
+            for name in ("plan.json", "report.json"):
+                gui.add_button(name).on_click(partial(self._save, name))
         with gui.add_folder("Plots") as folder:
             self.plots = Plots(gui)
         self.map_order = folder.order - 0.5
@@ -131,6 +134,23 @@ class Panel:
         self._take_offer.visible = notice is not None and notice.alternative is not None
         if notice is not None and notice.alternative is not None:
             self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
+
+    def _save(self, name: str, event: viser.GuiEvent[Any]) -> None:
+        """Gives a page a file about the walk that is seen, or says what there is to wait for."""
+        client = event.client
+        plan, report = self._session.snapshot.plan, self._session.report()
+        text = None
+        if name == "plan.json" and plan is not None:
+            text = plan.to_json() + "\n"
+        elif name == "report.json" and report is not None:
+            text = report.to_json()
+        if client is None:
+            return
+        if text is None:
+            waits = "a goal" if name == "plan.json" else "the end of the walk"
+            client.add_notification(name, f"There is none before {waits}.", auto_close_seconds=5.0)
+        else:
+            client.send_file_download(name, text.encode(), save_immediately=True)
 
     def take_offer(self) -> None:
         """Goes to the pose that would do instead of a refused one, or puts the robot there."""

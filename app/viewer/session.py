@@ -19,6 +19,7 @@ import numpy as np
 from app.navigation.live_navigator import LiveNavigator, Notice, Replanner, WalkHistory
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.navigation.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
+from app.navigation.report import NavigationReport
 from app.output import InputError
 from app.viewer.obstacles import Obstacle, with_obstacles
 from controller.gait import CONTROL_PERIOD_S
@@ -283,6 +284,11 @@ class Session:
         """Plan like this from now on."""
         self._change(options=options)
         self._replanner.plan_anew()
+
+    def report(self) -> NavigationReport | None:
+        """What the walk came to; None while it goes on, and where there was none."""
+        navigator = copy.copy(self._replanner.navigator)
+        return None if navigator.outcome is None else navigator.report()
 
     def is_on_robot(self, obstacle: Obstacle) -> bool:
         """Whether there is no room for the box because the robot stands there."""
