@@ -176,7 +176,7 @@ class FootstepPlan:
         except KeyError as error:
             raise ValueError(f"not a plan: key {error} is missing") from None
         except (TypeError, ValueError, AttributeError, OverflowError) as error:
-            raise ValueError(f"not a plan: {error}") from None
+            raise ValueError(f"not a plan: {error!s:.400}") from None
 
 
 def finite_pose(values: Iterable[float]) -> Pose:

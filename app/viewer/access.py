@@ -34,6 +34,8 @@ LOOPBACK = ("localhost", "127.0.0.1", "::1")
 ANY_ADDRESS = ("0.0.0.0", "::", "")
 KEY, COOKIE = "key", "footfall-key"
 # Pages send clicks and numbers; a map to upload comes in pieces that are smaller.
+# Codes with which a socket is closed over which nonsense came: of this file, and of websockets.
+_NONSENSE = (1008, 1002, 1003, 1007, 1009)
 MOST_BYTES = 4 * 1024 * 1024
 
 Handler = Callable[[ServerConnection], Awaitable[None]]
@@ -52,7 +54,8 @@ class Access:
     """What a request must be like to be answered.
 
     host: the address that is served at. names: further ones under which the server may be asked
-    for, such as that of a proxy. key: what the link must carry, none for loopback addresses.
+    for, such as that of a proxy, with its port where that is not the usual one. key: what the link
+    must carry, none for loopback addresses.
     """
 
     host: str
@@ -78,7 +81,7 @@ class Access:
         return ""
 
     def _is_own(self, name: str) -> bool:
-        if name in (*self.names, self.host.lower()) or (
+        if name in (*map(_host_of, self._places), self.host.lower()) or (
             is_loopback(self.host) and name in LOOPBACK
         ):
             return True
@@ -93,7 +96,11 @@ class Access:
         # On another port of the same machine is another program's page.
         scheme, _, place = origin.lower().partition("://")
         is_same = scheme in ("http", "https") and place == asked.lower()
-        return is_same or _host_of(origin) in self.names
+        return is_same or f"//{place}" in self._places
+
+    @property
+    def _places(self) -> list[str]:
+        return [f"//{name}" for name in self.names]
 
     def _has_key(self, request: Request) -> bool:
         given = self._key_of_link(request)
@@ -142,18 +149,31 @@ def survives(handler: Handler) -> Handler:
         except (ConnectionClosed, asyncio.CancelledError):
             raise
         except Exception as error:
-            kind = type(error).__name__
-            say(f"warning: a page sent what is no message ({one_line(f'{kind}: {error}')[:120]})")
-            await connection.close(1008, "no message")
+            await refuse(connection, error)
+        else:
+            sent = connection.protocol.close_sent
+            if sent is not None and sent.code in _NONSENSE:
+                _tell_of(sent.reason or "no message")
 
     return surviving
+
+
+async def refuse(connection: ServerConnection, error: Exception) -> None:
+    """Ends a connection over which something came that cannot be carried out, and says so once."""
+    if connection.protocol.close_sent is None:
+        _tell_of(f"{type(error).__name__}: {error}")
+        await connection.close(_NONSENSE[0], "no message")
+
+
+def _tell_of(what: str) -> None:
+    say(f"warning: a page sent what cannot be carried out ({one_line(what)[:120]})")
 
 
 def _tell_of_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     """One line about a message that could not be carried out."""
     error = context.get("exception")
     told = context.get("message") if error is None else f"{type(error).__name__}: {error}"
-    say(f"warning: a page's message could not be carried out ({one_line(told)[:120]})")
+    _tell_of(str(told))
 
 
 def titled(answer: Answer, title: str) -> Answer:

@@ -13,7 +13,7 @@ from typing import Any
 import viser
 
 from app.output import InputError
-from app.viewer.access import ANY_ADDRESS, KEY, Access, guarding
+from app.viewer.access import ANY_ADDRESS, KEY, Access, guarding, refuse
 
 LOCAL = "127.0.0.1"
 
@@ -150,6 +150,7 @@ def open_server(
     with contextlib.redirect_stdout(io.StringIO()), guarding(access, title):
         server = PageServer(host=host, port=port, label=title, verbose=False)
     server.access = access
+    _end_who_sends_nonsense(server._websock_server)
     make_thread_safe(server.broadcast)
     skip_superseded(server.broadcast)
     # Before anybody waits for the messages of a new page.
@@ -158,6 +159,20 @@ def open_server(
     )
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
+
+
+def _end_who_sends_nonsense(sockets: Any) -> None:
+    """Ends the connection of a page whose message fails; viser would go on, with a traceback."""
+    handle = sockets._handle_incoming_message
+
+    async def handled(client_id: int, message: Any) -> None:
+        try:
+            await handle(client_id, message)
+        except Exception as error:
+            if client_id in sockets._live_connections:
+                await refuse(sockets._live_connections[client_id], error)
+
+    sockets._handle_incoming_message = handled
 
 
 def _free_port(host: str, port: int) -> int:
