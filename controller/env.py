@@ -15,7 +15,8 @@ from controller.curriculum import Stage
 from controller.observation import critic_fields, normaliser, policy_fields, to_heading_frame
 from controller.randomization import Disturbances, DomainRandomization
 from controller.recovery import change_steps, step_change
-from controller.rewards import PRECISE, StepTargets, reward, reward_inputs
+from controller.reward_inputs import StepTargets, reward_inputs
+from controller.rewards import PRECISE, reward
 from controller.stairs import STAIR_MODES, draw_stairs
 from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import MAX_STEPS, PlannedSteps, draw_sequence

@@ -16,7 +16,7 @@ import torch
 from controller.checkpoint import CHECKPOINT, TrainingError, read_checkpoint
 from controller.curriculum import FLAT, MEASURED, PAPER, Curriculum, Stage
 from controller.ppo import PpoConfig, TrainConfig
-from controller.rewards import swing_ground_m
+from controller.reward_inputs import swing_ground_m
 from controller.runner import Trainer
 from sim.robots import get_robot
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from controller import reward_inputs as ri
 from controller import rewards as r
 from controller.env import WalkTask
 from controller.observation import (
@@ -137,7 +138,7 @@ def test_critic_sees_the_mirror_image_too(name, height_m, tolerance):
 
 # Reward terms: hand-worked cases of each, and the paper's weights.
 
-PERFECT = r.RewardInputs(
+PERFECT = ri.RewardInputs(
     support_indicator=np.array([[1.0, -1.0]]),
     ground_force_weights=np.array([[1.0, 0.0]]),
     sole_speed_m_s=np.array([[0.0, 2.0]]),
@@ -155,6 +156,7 @@ PERFECT = r.RewardInputs(
     action_change_rad=np.zeros(1),
     torque_change_nm=np.zeros(1),
     joint_acceleration_rad_s2=np.zeros(1),
+    foot_path_error_m=np.zeros((1, 2)),
     swing_height_error_m=np.zeros(1),
     climb_m=np.zeros(1),
     step_s=np.array([1.0]),
@@ -193,6 +195,7 @@ def test_weights_sum_to_1(preset):
         ("any_foot_step", {"target_distance_m": np.array([0.21])}, 0.2),
         ("any_foot_step", {"root_distance_m": np.array([2.0])}, 0.8 + 0.2 / np.e),
         ("named_foot_step", {"foot_error_m": np.array([[9.0, 0.0]])}, 0.7),
+        ("foot_path", {"foot_path_error_m": np.array([[0.0, 9.0]])}, 0.3),
         ("named_foot_heading", {"foot_heading_error_rad": np.array([[0.0, 9.0]])}, 0.3),
         ("swing_clearance", {"sole_height_m": np.array([[0.0, 0.03]])}, 0.5),
         ("swing_clearance", {"sole_height_m": np.array([[0.0, -0.01]])}, 0.0),
@@ -254,18 +257,41 @@ def test_the_papers_weights():
 def test_a_swing_foot_leaves_and_lands_slowly_and_clears_a_sill(climb_m):
     """Its speed at the ground is the one allowed there, and grows with the height."""
     time_s = np.linspace(0.0, 0.375, 3751)
-    height_m = r.swing_height_profile_m(time_s, np.full(len(time_s), climb_m))
+    height_m = ri.swing_height_profile_m(time_s, np.full(len(time_s), climb_m))
     speed_m_s = np.diff(height_m) / np.diff(time_s)
     assert height_m[0] == 0.0
-    assert speed_m_s[0] == pytest.approx(r.TOUCHDOWN_M_S, rel=0.01)
+    assert speed_m_s[0] == pytest.approx(ri.TOUCHDOWN_M_S, rel=0.01)
     assert (speed_m_s >= 0).all()
-    allowed = r.TOUCHDOWN_M_S + r.FASTER_PER_S * height_m[1:]
+    allowed = ri.TOUCHDOWN_M_S + ri.FASTER_PER_S * height_m[1:]
     assert (speed_m_s <= 1.01 * allowed).all()
     # No jolt: it is braked by less than gravity.
     assert np.diff(speed_m_s).min() / time_s[1] > -9.81
-    assert height_m.max() == pytest.approx(r.SWING_APEX_M + 0.3 * climb_m, rel=0.02)
+    assert height_m.max() == pytest.approx(ri.SWING_APEX_M + 0.3 * climb_m, rel=0.02)
     # Over the sills of 5 cm that plans step over, for nearly half of the swing.
     assert np.mean(height_m > 0.05) > 0.47
+
+
+def test_a_swing_foot_goes_its_way_by_minimum_jerk():
+    """At rest at both ends, halfway at half time, where it is 15/8 as fast as on average."""
+    time = np.linspace(0.0, 1.0, 1001)
+    way = ri.swing_way_gone(time)
+    speed = np.diff(way) / np.diff(time)
+    assert way[[0, 500, 1000]] == pytest.approx([0.0, 0.5, 1.0])
+    assert speed[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-4)
+    assert speed.max() == pytest.approx(15 / 8, rel=1e-4)
+    assert way + way[::-1] == pytest.approx(np.ones(1001))
+
+
+@pytest.mark.parametrize(
+    ("rise_m", "x_m", "expected_m"),
+    [(0.0, 1.3, 0.0), (0.0, 1.0, 0.3), (0.1, 1.0, 0.2), (-0.1, 1.35, 0.0)],
+)
+def test_a_climbing_foot_may_be_off_its_way_by_the_rise(rise_m, x_m, expected_m):
+    """Half its time over, on the way from x = 1 to x = 1.6."""
+    sole, start = np.array([[x_m, 0.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0, 0.0]])
+    target = np.array([[1.6, 0.0, rise_m, 0.0]])
+    error_m = ri.swing_path_error_m(sole, start, target, np.array([0.5]))
+    assert error_m == pytest.approx([expected_m])
 
 
 def test_landing_speed_is_seen_between_two_control_steps():
@@ -286,12 +312,12 @@ def test_landing_speed_is_seen_between_two_control_steps():
     walker.follow(0, sequence, wait_ticks=20)
     overspeed_m_s = []
     for _ in range(6):
-        step = r.StepTargets.of(walker)
+        step = ri.StepTargets.of(walker)
         walker.act(np.zeros((1, len(robot.joints))))
-        inputs = r.reward_inputs(walker, step, walker.joint_torque_nm())
+        inputs = ri.reward_inputs(walker, step, walker.joint_torque_nm())
         overspeed_m_s.append(inputs.landing_overspeed_m_s.max())
     fallen_m_s = np.sqrt(2 * 9.81 * drop_m)
-    assert max(overspeed_m_s) == pytest.approx(fallen_m_s - r.TOUCHDOWN_M_S, abs=0.1)
+    assert max(overspeed_m_s) == pytest.approx(fallen_m_s - ri.TOUCHDOWN_M_S, abs=0.1)
 
 
 def test_a_schedule_goes_from_one_reward_to_the_other():
