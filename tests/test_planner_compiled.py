@@ -14,6 +14,7 @@ import pytest
 
 import planner
 from planner.compiled import (
+    first_not_below,
     in_tiles,
     njit_arrays,
     njit_no_refcount,
@@ -37,6 +38,13 @@ def test_nodes_get_slots_of_their_own_when_they_are_come_to():
     assert taken.max() < slots.length
     np.testing.assert_array_equal(slots_of(slots, nodes), taken)
     assert [take_slot(slots, int(node)) for node in nodes] == taken.tolist()
+
+
+def test_a_place_in_ascending_numbers_is_what_numpy_says():
+    numbers = np.array([-7, -7, 0, 3, 3, 3, 12])
+    for value in range(-9, 13):
+        assert first_not_below(numbers, value) == np.searchsorted(numbers, value)
+    assert first_not_below(numbers, 13) == 6
 
 
 @pytest.mark.parametrize("count", [0, 5, 1 << 22])
@@ -104,7 +112,7 @@ def test_lean_functions_neither_give_back_arrays_nor_take_any_from_others():
     functions = compiled_functions("njit_no_refcount")
     assert len(functions) > 50
     giving = {f.name for f in compiled_functions("njit_arrays") if not is_plain(f)}
-    assert "new_workspace" in giving
+    assert "with_room" in giving
     for function in functions:
         assert is_plain(function), function.name
         assert not names_in(function) & giving, function.name

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import in_tiles, njit_arrays, njit_no_refcount, tiled, zeros
+from planner.compiled import in_tiles, njit_no_refcount, tiled, zeros
 from planner.heuristics.goal_table import (
     FAR_UM,
     GoalTable,
@@ -67,8 +67,10 @@ def build_exit_table(table: StepTable, potential: Potential) -> ExitTable:
     turn_um = np.empty((len(potential.body_cell), SECTORS), np.int64)
     steps = backward_steps(table)
     for number in range(SECTORS):
+        cost_um = np.full((*col.shape, len(turn_um)), FAR_UM, np.int64)
         _leave(
             turn_um[:, number],
+            cost_um,
             length <= _RADIUS_CELLS,
             sector == number,
             straight_um,
@@ -90,9 +92,10 @@ def straight_cost(cols: IntArray, rows: IntArray, potential: Potential) -> IntAr
     return np.where(2 * near <= far, flat, steep).astype(np.int64)
 
 
-@njit_arrays
+@njit_no_refcount
 def _leave(
     turn_um: IntArray,
+    cost_um: IntArray,
     inside: NDArray[np.bool_],
     rim: NDArray[np.bool_],
     straight_um: IntArray,
@@ -103,16 +106,17 @@ def _leave(
     """Least c - W + p over the ways out through one sector, for each row at the centre (2 H,).
 
     Dijkstra's search backward from all states on the rim, in buckets one least step wide.
+    cost_um (size, size, 2 H): room for it, `FAR_UM` everywhere.
     """
     rows, most, _ = steps.shape
     size = len(inside)
-    cost_um = np.full((size, size, rows), FAR_UM, np.int64)
     low, high = FAR_UM, -FAR_UM
     for r in range(size):
         for c in range(size):
             if rim[r, c]:
-                cost_um[r, c] = potential_um - straight_um[r, c]
-                low, high = min(low, cost_um[r, c].min()), max(high, cost_um[r, c].max())
+                for row in range(rows):
+                    cost_um[r, c, row] = potential_um[row] - straight_um[r, c]
+                    low, high = min(low, cost_um[r, c, row]), max(high, cost_um[r, c, row])
     width = least_step(steps)
     # A scan of everything finds all that is in a bucket, as in `goal_table.py`.
     while low <= high:

@@ -211,19 +211,24 @@ def _queue_seeds(
     ahead: StraightCost,
 ) -> Queue:
     """The queue with the seeds in it."""
+    least_um, most_um = NOWHERE_UM, 0
+    for move_um in moves.cost_um:
+        least_um, most_um = min(least_um, move_um), max(most_um, move_um)
     shift = 0
-    while 2 << shift <= moves.cost_um.min():
+    while 2 << shift <= least_um:
         shift += 1
-    key_um = seed_um + all_straight_um(ahead, lattice.cols, seeds)
+    key_um = all_straight_um(ahead, lattice.cols, seeds)
     low, high = NOWHERE_UM, 0
-    for key in key_um:
-        low, high = min(low, key), max(high, key)
+    for i in range(len(seeds)):
+        key_um[i] += seed_um[i]
+        low, high = min(low, key_um[i]), max(high, key_um[i])
     # The straight path changes by no more than a move costs.
-    span = (2 * moves.cost_um.max() + max(high - low, 0) >> shift) + 2
+    span = (2 * most_um + max(high - low, 0) >> shift) + 2
     ring = 1
     while ring < span:
         ring *= 2
-    head = np.full(ring, -1, np.int64)
+    head = np.empty(ring, np.int64)
+    head[:] = -1
     room = max(1 << 13, 2 * len(seeds))
     cells, costs = np.empty(room, np.int64), np.empty(room, np.int64)
     after = np.empty(room, np.int64)

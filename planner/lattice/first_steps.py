@@ -65,7 +65,9 @@ def _nodes_around(
     cols, rows, headings, cell_m = lattice.cols, lattice.rows, lattice.headings, lattice.cell_m
     origin_col, origin_row = lattice.origin_col, lattice.origin_row
     hair = 1e-6
-    far_m = math.hypot(np.abs(spans[0]).max(), np.abs(spans[1]).max())
+    far_m = math.hypot(
+        max(abs(spans[0, 0]), abs(spans[0, 1])), max(abs(spans[1, 0]), abs(spans[1, 1]))
+    )
     bin_rad = 2 * math.pi / headings
     out = 1 - 2 * swing
     shift_m = out * lattice.half_stance_m
@@ -94,8 +96,11 @@ def _nodes_around(
                 turned = out * (turn * bin_rad - support[2])
                 if spans[2, 0] - hair <= turned <= spans[2, 1] + hair:
                     nodes[number] = (cell * headings + turn % headings) * 2 + swing
-                    poses[number] = x, y, turn * bin_rad
-                    steps[number] = ahead, outward, turned
+                    # Rows assigned as a whole would bring along, compiled, the texts of errors.
+                    poses[number, 0], poses[number, 1] = x, y
+                    poses[number, 2] = turn * bin_rad
+                    steps[number, 0], steps[number, 1] = ahead, outward
+                    steps[number, 2] = turned
                     number += 1
     return nodes[:number], poses[:number], steps[:number]
 

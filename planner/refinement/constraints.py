@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, Terrain, corner_gap, point_clearance, radius_of
-from planner.compiled import njit_arrays, njit_no_refcount
+from planner.compiled import njit_no_refcount
 from planner.lattice.lattice import Lattice
 from planner.refinement.cost import RefinementProblem, gap_axis, pair_pose_of, turn_between
 from planner.robot_model import RoundedBox
@@ -242,11 +242,11 @@ class Workspace(NamedTuple):
     """Arrays of one run for N steps, of which all but the last have R constraints each.
 
     value, slack, multiplier (N - 1, R): of the constraints. gradient (N - 1, R, 6): by the pose
-    before and the pose itself. active (N - 1, R). newton (N - 1, R, 2): Newton step of slack and
-    multiplier. step (N - 1, 3, 7): derivatives of each step's x, y and yaw by both poses, and their
-    values. matrix (3 (N - 2), BAND), right (3 (N - 2),): the banded system. Scratch: distances
-    (DIRECTIONS, 4); block (6, 7): Hessian and negative gradient by the two poses of one step;
-    along (1, 1, 6).
+    before and the pose itself. active, was_active (N - 1, R): now, and one iteration ago. newton
+    (N - 1, R, 2): Newton step of slack and multiplier. step (N - 1, 3, 7): derivatives of each
+    step's x, y and yaw by both poses, and their values. matrix (3 (N - 2), BAND), right
+    (3 (N - 2),): the banded system. Scratch: distances (DIRECTIONS, 4); block (6, 7): Hessian and
+    negative gradient by the two poses of one step; along (1, 1, 6).
     """
 
     value: FloatArray
@@ -255,6 +255,7 @@ class Workspace(NamedTuple):
     multiplier: FloatArray
     newton: FloatArray
     active: NDArray[np.bool_]
+    was_active: NDArray[np.bool_]
     step: FloatArray
     matrix: FloatArray
     right: FloatArray
@@ -263,7 +264,6 @@ class Workspace(NamedTuple):
     along: FloatArray
 
 
-@njit_arrays
 def new_workspace(lattice: Lattice, steps: int, edges: int) -> Workspace:
     """Empty arrays for so many steps, in a polygon of so many edges."""
     free, bound = 3 * (steps - 2), steps - 1
@@ -274,6 +274,7 @@ def new_workspace(lattice: Lattice, steps: int, edges: int) -> Workspace:
         np.zeros((bound, number)),
         np.zeros((bound, number)),
         np.zeros((bound, number, 2)),
+        np.zeros((bound, number), np.bool_),
         np.zeros((bound, number), np.bool_),
         np.zeros((bound, 3, 7)),
         np.zeros((free, BAND)),

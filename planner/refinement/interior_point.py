@@ -13,14 +13,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_arrays, njit_no_refcount
+from planner.compiled import njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.refinement.constraints import (
     MARGIN_M,
     Workspace,
     add_block,
     evaluate_constraints,
-    new_workspace,
 )
 from planner.refinement.cost import (
     NOT_ALLOWED,
@@ -39,9 +38,10 @@ _LEAST_SLACK_M = 0.01
 _TO_BOUNDARY = 0.95  # of the way to the boundary, at most, in one iteration
 
 
-@njit_arrays
+@njit_no_refcount
 def relax(
     problem: RefinementProblem,
+    workspace: Workspace,
     poses: FloatArray,
     first_outward: float,
     iterations: int,
@@ -50,13 +50,13 @@ def relax(
 ) -> int:
     """Moves the free poses of a path (N + 1, 3) to lower its cost.
 
-    Ends after so many iterations, or when a valid path costs less than enough_um. best (N + 1, 3):
-    receives the cheapest valid path. Returns its cost in micrometres, NOT_ALLOWED if there is none.
+    workspace: for N steps, of zeros. Ends after so many iterations, or when a valid path costs less
+    than enough_um. best (N + 1, 3): receives the cheapest valid path. Returns its cost in
+    micrometres, NOT_ALLOWED if there is none.
     """
     if len(poses) <= 3:
-        best[:] = poses
+        _copy(poses, best)
         return plan_cost_um(problem, poses, first_outward)
-    workspace = new_workspace(problem.lattice, len(poses) - 1, len(problem.reach))
     is_flat = len(problem.lattice.node_um) == 0
     mu, least_m = _FIRST_MU, math.inf
     for iteration in range(iterations):
@@ -65,7 +65,7 @@ def relax(
         cheaper = worst < MARGIN_M and cost_m < least_m
         if cheaper and (is_flat or plan_cost_um(problem, poses, first_outward) != NOT_ALLOWED):
             least_m = cost_m
-            best[:] = poses
+            _copy(poses, best)
             if least_m * MICRO < enough_um:
                 break
         if iteration == iterations - 1 or not solve_banded(workspace.matrix, workspace.right):
@@ -76,7 +76,14 @@ def relax(
     return plan_cost_um(problem, best, first_outward)
 
 
-@njit_arrays
+@njit_no_refcount
+def _copy(poses: FloatArray, to: FloatArray) -> None:
+    # Assigned as a whole they would bring along, compiled, the text of an error on their shapes.
+    for i in range(len(poses)):
+        to[i, 0], to[i, 1], to[i, 2] = poses[i, 0], poses[i, 1], poses[i, 2]
+
+
+@njit_no_refcount
 def _build(
     problem: RefinementProblem,
     workspace: Workspace,
@@ -95,7 +102,10 @@ def _build(
     right[:] = 0.0
     for k in range(len(right)):
         matrix[k, 0] = _DAMP_YAW if k % 3 == 2 else _DAMP_POSITION
-    was = active.copy()
+    was = workspace.was_active
+    for i in range(len(value)):
+        for row in range(value.shape[1]):
+            was[i, row] = active[i, row]
     evaluate_constraints(problem, workspace, poses, first_outward)
     # The last step, from one foot of the goal to the other, has no constraints and a fixed cost.
     worst, cost_m = 0.0, weights[0] + weights[1]

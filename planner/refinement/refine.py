@@ -18,9 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_arrays
+from planner.compiled import njit_no_refcount
 from planner.lattice.frame import poses_from_grid, poses_to_grid
+from planner.lattice.lattice import Lattice
 from planner.lattice.steps import MICRO
+from planner.refinement.constraints import new_workspace
 from planner.refinement.cost import (
     NOT_ALLOWED,
     RefinementProblem,
@@ -30,6 +32,7 @@ from planner.refinement.cost import (
     turn_between,
 )
 from planner.refinement.interior_point import relax
+from planner.robot_model import StepModel
 from planner.search.problem import Request, Result
 from planner.time_limit import is_late
 
@@ -87,6 +90,16 @@ def refine(request: Request, result: Result) -> Result:
     )
 
 
+def compile_refinement(lattice: Lattice, model: StepModel) -> None:
+    """Compiles all that `refine` calls, on a path that need not be valid."""
+    path = np.zeros((5, 3))
+    path[:, 0] = np.linspace(0.0, 1.0, 5)
+    problem = refinement_problem(lattice, model, path[:2].copy(), np.zeros(2, np.int64), 0.0)
+    plan_cost_um(problem, path, 1.0)
+    _relaxed(problem, _FootPath(path, 1.0, 0), 4, False, 2, 0)
+    foot_height_um(lattice, path[0])
+
+
 # Not compiled: it makes few calls, and would take long to compile.
 def _shorten(problem: RefinementProblem, found: _FootPath, swaps: tuple[bool, ...]) -> _FootPath:
     """The cheapest path found, with as many steps as the given one or fewer.
@@ -120,33 +133,35 @@ def _relaxed(
 
     swap: the other foot goes first. iterations, enough_um: as in `relax`.
     """
-    trial = _resampled(problem.feet, path.poses, path.outward, steps, swap)
+    trial = np.empty((steps + 1, 3))
+    _resample(problem.feet, path.poses, path.outward, swap, trial)
     outward = -path.outward if swap else path.outward
     best = np.empty_like(trial)
-    cost_um = relax(problem, trial, outward, iterations, enough_um, best)
+    workspace = new_workspace(problem.lattice, steps, len(problem.reach))
+    cost_um = relax(problem, workspace, trial, outward, iterations, enough_um, best)
     if cost_um == NOT_ALLOWED or cost_um >= path.cost_um:
         return path
     return _FootPath(best, outward, cost_um)
 
 
-@njit_arrays
-def _resampled(
-    feet: FloatArray, poses: FloatArray, outward: float, steps: int, swap: bool
-) -> FloatArray:
-    """Path (steps + 1, 3) along another (N + 1, 3) that begins at feet (2, 3).
+@njit_no_refcount
+def _resample(
+    feet: FloatArray, poses: FloatArray, outward: float, swap: bool, path: FloatArray
+) -> None:
+    """Fills a path (steps + 1, 3) along another (N + 1, 3) that begins at feet (2, 3).
 
     Left and right feet each follow the line through their places in the old path, at equal times.
     swap: the other foot goes first.
     """
-    old = len(poses) - 1
-    path = np.empty((steps + 1, 3))
+    old, steps = len(poses) - 1, len(path) - 1
     for i in range(steps + 1):
         # Even numbers of the old path are the first support foot's.
         parity = (i + 1) % 2 if swap else i % 2
         at = i * old / steps
         before = 2 * math.floor((at - parity) / 2.0) + parity
         if i >= steps - 1 or before + 2 > old:
-            path[i] = poses[old if old % 2 == parity else old - 1]
+            last = poses[old if old % 2 == parity else old - 1]
+            path[i, 0], path[i, 1], path[i, 2] = last[0], last[1], last[2]
             continue
         # The foot that went first in the old path stood at the start until then.
         first = feet[0 if outward > 0 else 1] if before < 0 else poses[before]
@@ -155,5 +170,5 @@ def _resampled(
         path[i, 0] = first[0] + part * (poses[before + 2, 0] - first[0])
         path[i, 1] = first[1] + part * (poses[before + 2, 1] - first[1])
         path[i, 2] = first[2] + part * turn
-    path[0] = feet[0 if outward > 0 else 1] if swap else poses[0]
-    return path
+    begin = feet[0 if outward > 0 else 1] if swap else poses[0]
+    path[0, 0], path[0, 1], path[0, 2] = begin[0], begin[1], begin[2]

@@ -24,6 +24,7 @@ from planner.compiled import (
     BITS,
     LOW,
     Slots,
+    first_not_below,
     next_block,
     njit_arrays,
     njit_no_refcount,
@@ -205,7 +206,7 @@ def _note_plan(tree: Tree, node: int, cost_um: int) -> bool:
     scalars, goals = tree.scalars, tree.goals
     if len(goals) == 0 or node < goals[0] or node > goals[-1]:
         return False
-    index = np.searchsorted(goals, node)
+    index = first_not_below(goals, node)
     if goals[index] != node or cost_um + tree.goal_um[index] >= scalars[BEST_UM]:
         return False
     scalars[BEST_UM] = cost_um + tree.goal_um[index]
