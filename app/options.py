@@ -168,6 +168,7 @@ def number(
     *,
     at_least: float | None = None,
     above: float | None = None,
+    at_most: float = math.inf,
     whole: bool = False,
     metavar: str = "NUMBER",
 ) -> PrimitiveConstructorSpec[Any]:
@@ -185,16 +186,20 @@ def number(
             value = math.nan
         # A comparison with nan is false, so each test names what is right, not what is wrong.
         large_enough = at_least is None or value >= at_least
-        if not (math.isfinite(value) and large_enough and (above is None or value > above)):
+        if not (abs(value) < math.inf and large_enough and (above is None or value > above)):
             raise ValueError(f"{word!r} is not {wanted}")
+        if value > at_most:
+            raise ValueError(f"{word!r} is too large: at most {at_most}")
         return value
 
     return text(metavar, read)
 
 
-def whole_number(*, at_least: int, metavar: str = "COUNT") -> PrimitiveConstructorSpec[Any]:
+def whole_number(
+    *, at_least: int, at_most: int = 10**9, metavar: str = "COUNT"
+) -> PrimitiveConstructorSpec[Any]:
     """Reads a whole number within bounds, for `Annotated[int, ...]`."""
-    return number(at_least=at_least, whole=True, metavar=metavar)
+    return number(at_least=at_least, at_most=at_most, whole=True, metavar=metavar)
 
 
 def choice(*names: str) -> PrimitiveConstructorSpec[Any]:
@@ -239,8 +244,9 @@ OptionalFolder = Annotated[Path | None, _FOLDER]
 RobotName = Annotated[str, text("NAME")]
 PaceOption = Annotated[str, choice(*PACES)]
 PushOption = Annotated[float, number(at_least=0.0)]
-SeedOption = Annotated[int, whole_number(at_least=0, metavar="SEED")]
-WorkersOption = Annotated[int, whole_number(at_least=0)]
+SeedOption = Annotated[int, whole_number(at_least=0, at_most=2**63 - 1, metavar="SEED")]
+# More processes or threads than any machine has cores; each of them takes memory.
+WorkersOption = Annotated[int, whole_number(at_least=0, at_most=4096)]
 CountOption = Annotated[int, whole_number(at_least=1)]
 # On unless turned off: the help shows the switch that does so, and its default.
 SwitchedOn = Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: False)")]

@@ -109,7 +109,7 @@ class DatasetOptions(MapOptions):
     start: OptionalPose = None
     """Where every plan starts, such as 0,0,0; none: 0,0,0, on a map anywhere."""
 
-    obstacles: Annotated[int, whole_number(at_least=0)] = 0
+    obstacles: Annotated[int, whole_number(at_least=0, at_most=1000)] = 0
     """Boxes of random size and place for each plan anew, such as 5."""
 
     map: OptionalFile = None  # type: ignore[assignment]  # here a map is not needed

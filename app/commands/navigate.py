@@ -90,7 +90,7 @@ class NavigateOptions(PlanningOptions, GoalOptions):
     video_size: SizeOption = Size(1280, 720)
     """Width and height of the film in pixels, such as 640x360."""
 
-    fps: Annotated[int, whole_number(at_least=1, metavar="RATE")] = 30
+    fps: Annotated[int, whole_number(at_least=1, at_most=1000, metavar="RATE")] = 30
     """Pictures that the film shows a second, such as 60."""
 
     strip: OptionalFile = None
