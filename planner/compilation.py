@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -23,8 +26,7 @@ from planner.robot_model import StepModel
 
 _FLOOR = OccupancyGrid(cells=np.zeros((60, 100), np.uint8), resolution_m=0.05)
 _START, _GOAL = (1.0, 1.5, 0.0), (4.0, 1.5, 0.0)
-
-Tell = Callable[[str], None]
+_TOLD_EVERY_S = 0.5
 
 
 def compile_ahead(
@@ -52,16 +54,12 @@ def compile_ahead(
         on_progress(len(here | elsewhere), len(FUNCTIONS), name)
 
     options = replace(options, time_limit_s=None, record=False)
-    with _beside(model, options, elsewhere) as follow:
-
-        def tell_both(name: str) -> None:
-            follow(wait=False)
-            tell(name)
-
-        with on_compiling(tell_both):
+    with _beside(model, options, elsewhere) as helper:
+        with on_compiling(tell):
             planner = Planner(_FLOOR, model, replace(options, refine=False))
             planner.plan(start=_START, goal=_GOAL)
-        while follow(wait=True):
+        while helper is not None and helper.is_alive():
+            helper.join(_TOLD_EVERY_S)
             tell("")
     with on_compiling(tell):  # what is left, and loads the rest
         Planner(_FLOOR, model, options).plan(start=_START, goal=_GOAL)
@@ -74,53 +72,65 @@ def compile_ahead(
 @contextlib.contextmanager
 def _beside(
     model: StepModel, options: PlannerOptions, compiled: set[str]
-) -> Iterator[Callable[..., bool]]:
+) -> Iterator[threading.Thread | None]:
     """Compiles refinement in another process, where there is a core for it.
 
-    What it gives adds the names of what is compiled there, and says whether more may come; it can
-    wait for the next one. A process that fails leaves all to this one.
+    What it gives lives as long as that goes on, and adds the names of what is compiled there. A
+    process that fails leaves all to this one.
     """
     if not options.refine or _cores() < 2:
-        yield lambda wait: False
+        yield None
         return
-    context = multiprocessing.get_context("spawn")
-    names, far_end = context.Pipe(duplex=False)
-    process = context.Process(
-        target=_compile_refinement, args=(model, options, far_end), daemon=True
+    # Not by multiprocessing, for which the processes that plan may have no children.
+    process = subprocess.Popen(
+        [sys.executable, "-c", _BESIDE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
     )
-    process.start()
-    far_end.close()
-    alive = True
 
-    def follow(wait: bool) -> bool:
-        nonlocal alive
-        try:
-            while alive and (wait or names.poll()):
-                compiled.add(names.recv())
-                wait = False
-        except (EOFError, OSError):
-            alive = False
-        return alive
+    def listen() -> None:
+        with contextlib.suppress(OSError), process:
+            assert process.stdin is not None
+            assert process.stdout is not None
+            pickle.dump(sys.path, process.stdin)
+            pickle.dump((model, options), process.stdin)
+            process.stdin.close()
+            for line in process.stdout:
+                compiled.add(line.decode().strip())
 
+    thread = threading.Thread(target=listen, daemon=True, name="compiling")
+    thread.start()
     try:
-        yield follow
+        yield thread
     finally:
-        process.terminate()
-        process.join()
-        names.close()
+        process.kill()
+        thread.join()
 
 
-def _compile_refinement(model: StepModel, options: PlannerOptions, names: Connection) -> None:
-    """Compiles what moves the steps of a plan, and sends the names of what is compiled."""
-    sent: set[str] = set()
+# Where no package of this project may be importable before its path is known.
+_BESIDE = """
+import pickle, sys
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from planner.compilation import compile_refinement_alone
+compile_refinement_alone(*pickle.load(sys.stdin.buffer))
+"""
+
+
+def compile_refinement_alone(model: StepModel, options: PlannerOptions) -> None:
+    """Compiles what moves the steps of a plan; prints the name of each function that is compiled.
+
+    Ends where nobody reads them any more, and leaves Ctrl-C to the process that began it.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    said: set[str] = set()
 
     def tell(_: str) -> None:
-        for name in {_name(f) for f in FUNCTIONS if f.signatures} - sent:
-            sent.add(name)
-            names.send(name)
+        for name in {_name(f) for f in FUNCTIONS if f.signatures} - said:
+            said.add(name)
+            print(name, flush=True)
 
-    # Ctrl-C is for the process that started this one; it has gone where nobody listens.
-    with contextlib.suppress(KeyboardInterrupt, BrokenPipeError), on_compiling(tell):
+    with contextlib.suppress(BrokenPipeError), on_compiling(tell):
         compile_refinement(Planner(_FLOOR, model, options).goal_context(_GOAL).lattice, model)
         tell("")
 

@@ -24,7 +24,10 @@ import pytest
 from app.navigation.report import NavigationReport
 from app.viewer.camera import FIELD_OF_VIEW_RAD, overview
 from app.viewer.panel import CHOSEN
+from app.workers import compile_planner
+from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
+from sim.robots import get_robot
 from tests.programs import ROOT, run_python
 from tests.scenes import HALL
 
@@ -148,10 +151,11 @@ def hall(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def address(hall: Path) -> Iterator[str]:
     """Where `serve` says that its page is."""
+    # The page opens at once; a click waits for a planner that is compiled first.
+    compile_planner(get_robot("jvrc1").step_model, PlannerOptions())
     words = [sys.executable, "main.py", "serve", "--map", str(hall), "--port", "0"]
     server = subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True)
     assert server.stderr is not None
-    # The planner is loaded, and in a fresh clone compiled, before the page is said to be up.
     told = ""
     try:
         while not (found := re.search(r"http://127\.0\.0\.1:\d+", told)):

@@ -130,6 +130,9 @@ def test_the_status_says_what_is_known_and_no_more():
     told = status_text(walking)
     for words in ("Walking", "42 ms", "2.0 cm, at most 3.0 cm", "25 cm"):
         assert words in told
+    loading = status_text(replace(walking, loading="loading the planner"))
+    assert loading.startswith("### Loading the planner")
+    assert loading.count("\n") == told.count("\n")
     reached = status_text(replace(walking, status="reached", goal_error=(0.012, 0.1)))
     assert "1.2 cm, 5.7°" in reached
     # The buttons below stay where they are.

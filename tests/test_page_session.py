@@ -258,6 +258,21 @@ def test_a_planner_that_never_starts_is_given_up(monkeypatch):
         wait_until(lambda: session.is_ready(wait_s=1.0))
 
 
+def test_a_living_session_tells_that_its_planner_never_starts(monkeypatch):
+    monkeypatch.setattr("app.navigation.planner_process.answer_questions", sys.exit)
+    with lived(HALL, ROBOT, POLICY) as session:
+        failure = wait_until(lambda: session.failure)
+        assert "died 3 times" in str(failure)
+        assert session.snapshot.loading
+
+
+def test_it_tells_what_loads_and_a_goal_waits_for_it(session):
+    assert session.snapshot.loading == "loading the planner"
+    session.go_to(AHEAD)
+    wait_for(session, lambda now: now.status == "planning" and now.loading)
+    wait_for(session, lambda now: now.status == "walking" and not now.loading)
+
+
 @pytest.mark.parametrize("name", ["ara", "rrtconnect"])
 def test_with_a_goal_it_walks_as_navigate_does(name, monkeypatch):
     # The second plans in another process, because it would hold up this one.

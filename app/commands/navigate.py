@@ -148,7 +148,7 @@ def run(options: NavigateOptions) -> int:
     if options.view and (options.record or options.bag):
         raise InputError("--record and --bag write a walk that nobody steers: leave out --view")
     require_recordable(options.record, options.bag)
-    compiled_s = 0.0 if options.view else compile_planner(robot.step_model, options.search)
+    compiled_s = compile_planner(robot.step_model, options.search)
     with ExitStack() as stack:
         if options.view:
             navigator = stack.enter_context(viewed(options, grid, robot, policy))

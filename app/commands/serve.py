@@ -24,6 +24,7 @@ from maps.map_files import COMES_ALONG
 from sim.robot import Robot
 
 if TYPE_CHECKING:
+    from app.viewer.page import Page
     from controller.walker import Controller
 
 
@@ -50,11 +51,6 @@ class ServeOptions(PlanningOptions):
 
     port: Annotated[int, whole_number(at_least=0, metavar="PORT")] = 8080
     """Port to serve at, such as 8080; 0 for any that is free."""
-
-
-# What was compiled before is loaded in less.
-_LOADED_AFTER_S = 6.0
-_COMPILES = "which is compiled after a change of its code, for half a minute"
 
 
 def run(options: ServeOptions) -> int:
@@ -91,20 +87,30 @@ def run(options: ServeOptions) -> int:
             load=load,
             maps=Maps({name: options.map} | maps, name),
         ) as page:
-            # Returns when the first click would be answered as soon as any.
-            began_s = time.monotonic()
-            with ProgressBar("loading the planner", None) as bar:
-                while not page.session.is_ready(wait_s=0.2):
-                    waited_s = time.monotonic() - began_s
-                    bar.update(waited_s, _COMPILES if waited_s > _LOADED_AFTER_S else "")
             page.session.start()
             if access is None:
                 say(f"open {page.server.url} in a browser; Ctrl-C ends it")
             port, access = page.server.get_port(), page.server.access
+            _run_until_loaded(page)
             page.run(is_over=lambda: page.wanted_map is not None)
             assert page.wanted_map is not None
             name, grid, start = page.wanted_map
             robot, policy = page.session.setup.robot, page.session.setup.policy
+
+
+def _run_until_loaded(page: Page) -> None:
+    """Runs the page, and tells what it waits for on the terminal too."""
+    began_s = time.monotonic()
+    with ProgressBar("planner", None) as bar:
+
+        def is_loaded() -> bool:
+            if page.session.failure is not None:
+                raise page.session.failure
+            loading = page.session.snapshot.loading
+            bar.update(time.monotonic() - began_s, loading)
+            return not loading or page.wanted_map is not None
+
+        page.run(is_over=is_loaded)
 
 
 def _name_of(path: Path, maps: dict[str, Path]) -> str:

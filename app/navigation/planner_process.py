@@ -15,6 +15,7 @@ import numpy as np
 
 from maps.grid import OccupancyGrid
 from planner.collision import Terrain, terrain_of
+from planner.compilation import compile_ahead
 from planner.endpoints import nearest_free_pose, what_blocks
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, finite_pose, pair_pose
@@ -74,6 +75,14 @@ class Ready:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Compiling:
+    """Says how many of the planner's functions are compiled, and of how many."""
+
+    done: int
+    functions: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class World:
     """What is planned over."""
 
@@ -97,7 +106,7 @@ def answer_questions(pipe: Connection) -> None:
                 message = pipe.recv()
                 if isinstance(message, World):
                     if world is None:
-                        _warm_up(message)
+                        _warm_up(pipe, message)
                     known = world and (world.model, world.options)
                     if known != (message.model, message.options):
                         planners = None
@@ -113,8 +122,13 @@ def answer_questions(pipe: Connection) -> None:
         return
 
 
-def _warm_up(world: World) -> None:
+def _warm_up(pipe: Connection, world: World) -> None:
     """Plans once where it is easy: loads what has been compiled before the first question."""
+
+    def tell(done: int, functions: int, _name: str) -> None:
+        pipe.send(Compiling(done=done, functions=functions))
+
+    compile_ahead(world.model, world.options, tell)
     floor = OccupancyGrid(cells=np.zeros((60, 60), np.uint8), resolution_m=0.05)
     Planner(floor, world.model, world.options).plan(start=(1.0, 1.5, 0.0), goal=(1.5, 1.5, 0.0))
 
@@ -239,7 +253,8 @@ class PlannerProcess:
     """Asks a planner in another process; used from one thread.
 
     `ask` and `answers` never wait. `plan` waits for at most WAIT_LIMIT_S, and says that time ran
-    out when there is nothing by then. `number` is that of the last question, whoever asked it.
+    out when there is nothing by then. `number` is that of the last question, whoever asked it,
+    `compiling` is how far that is, where the planner was not compiled.
     """
 
     def __init__(self, world: World) -> None:
@@ -248,6 +263,7 @@ class PlannerProcess:
         self._open: Query | None = None
         self._kept: list[Answer] = []
         self._is_ready = False
+        self.compiling: Compiling | None = None
         self._starts = 0
         self._start()
 
@@ -333,9 +349,12 @@ class PlannerProcess:
             while self._pipe.poll(wait_s):
                 answer = self._pipe.recv()
                 wait_s = 0.0
-                if isinstance(answer, Ready):
-                    self._is_ready = True
-                elif answer.number == self.number:
+                if isinstance(answer, Compiling):
+                    self.compiling = answer
+                    continue
+                # One that was asked while it loaded answers without a word before.
+                self._is_ready = True
+                if not isinstance(answer, Ready) and answer.number == self.number:
                     self._open = None
                     self._kept.append(answer)
         except (EOFError, OSError):

@@ -302,5 +302,6 @@ def status_text(snapshot: Snapshot) -> str:
     if snapshot.clearance_m is not None:
         near = f"nearest wall {100 * snapshot.clearance_m:.0f} cm"
     walked = f"{snapshot.time_s:.0f} s walked, speed {snapshot.speed:.1f}x"
-    title = f"### {snapshot.status[:1].upper()}{snapshot.status[1:]}"
+    state = snapshot.loading or snapshot.status
+    title = f"### {state[:1].upper()}{state[1:]}"
     return "  \n".join((title, steps, second, error, near, walked))

@@ -36,6 +36,7 @@ _MEASURED_OVER_S = 1.0
 ROOM_FOR_ROBOT_M = 0.45
 _IDLE_WAIT_S = 0.05
 _SNAPSHOT_EVERY_S = 1 / 60
+_LOADING = "loading the planner"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +47,8 @@ class Snapshot:
     goal that is being planned for. `done` steps of `plan` have been taken.
     placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
     path_world (T, 2) of the body, four points a second. `speed` is simulated over real time as it
-    is reached; `answer_s` the real time from question to plan. `walk` counts the walks begun.
+    is reached; `loading` what there is to wait for before the first plan; `answer_s` the real time
+    from question to plan. `walk` counts the walks begun.
     """
 
     qpos: np.ndarray
@@ -67,6 +69,7 @@ class Snapshot:
     clearance_m: float | None = None
     goal_error: tuple[float, float] | None = None
     speed: float = 0.0
+    loading: str = ""
     notice: Notice | None = None
 
 
@@ -184,7 +187,8 @@ class Session:
 
     The public methods may be called from any thread; `commands` are those that its own thread has
     yet to carry out. `snapshot` is what is seen now; `setup` is what the walk depends on; `history`
-    keeps what the plots show; `ended` is the first walk, once it is over.
+    keeps what the plots show; `ended` is the first walk, once it is over; `failure` is why there is
+    no planner, if it dies whenever it is started.
     """
 
     def __init__(
@@ -209,18 +213,20 @@ class Session:
         )
         self.commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
+        self._loading = _LOADING
         self._planner = PlannerProcess(self.setup.world)
         self._shown_s, self._shown_answer = -math.inf, -1
         self.clock = SimulationClock()
         self.history = WalkHistory()
         self.ended: Navigator | None = None
+        self.failure: RuntimeError | None = None
         navigator = self._standing() if goal is None else self._walking(finite_pose(goal))
         self._replanner = Replanner(self._planner, self.history, navigator)
         self.snapshot = self._take_snapshot()
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
 
     def is_ready(self, wait_s: float) -> bool:
-        """Whether a goal would be planned for at once; before `start`, waits for so long."""
+        """Whether a goal would be planned for at once; only before `start`, waits for so long."""
         return self._planner.is_ready(wait_s)
 
     def start(self) -> None:
@@ -302,11 +308,26 @@ class Session:
             self.clock.is_idle = not replanner.navigator.going or replanner.question is not None
             self._run_commands(self._wait_s())
             self._try(replanner.listen)
+            self._look_for_planner()
             if replanner.navigator.rests:
                 self.clock.skip()
             elif self.clock.is_due():
                 self._try(self._tick)
             self._show()
+
+    def _look_for_planner(self) -> None:
+        """Notes what there is to wait for before a goal can be planned for."""
+        if not self._loading or self.failure is not None:
+            return
+        try:
+            compiling = self._planner.compiling
+            if self._planner.is_ready():
+                self._loading = ""
+            elif compiling is not None:
+                count = f"{compiling.done} of {compiling.functions} functions"
+                self._loading = f"compiling the planner, once: {count}"
+        except RuntimeError as error:
+            self.failure = error
 
     def _run_commands(self, wait_s: float) -> None:
         """Carries out all that are there; waits for one for so long."""
@@ -380,6 +401,7 @@ class Session:
             clearance_m=history.clearance_m,
             goal_error=navigator.goal_error if navigator.plans else None,
             speed=self.clock.reached,
+            loading=self._loading,
             notice=replanner.notice,
         )
 
