@@ -15,6 +15,8 @@ from app.viewer.camera import (
     Follower,
     Sight,
     centred,
+    from_above,
+    from_behind,
     overview,
 )
 from tests.scenes import HALL
@@ -52,6 +54,36 @@ def test_a_point_is_put_in_the_middle_of_what_is_free(aspect, place):
     assert sight.distance_m == pytest.approx(4.0)
     assert sight.forward == pytest.approx(forward)
     assert seen_at(sight, np.array([1.0, 2.0, 0.5]), aspect) == pytest.approx(place, abs=1e-9)
+
+
+@pytest.mark.parametrize("aspect", [LANDSCAPE, 2.2, PHONE])
+def test_from_above_the_map_is_seen_as_a_plan_is_drawn(aspect):
+    sight = from_above(HALL, aspect)
+    corners = ((-2, -3, 0), (6, -3, 0), (6, 3, 0), (-2, 3, 0))
+    places = np.array([seen_at(sight, np.array(corner, float), aspect) for corner in corners])
+    assert np.abs(places).max() <= 1
+    # Upright: what is east is to the right, what is north is up.
+    assert places[1, 0] - places[0, 0] > 0.3
+    assert places[3, 1] - places[0, 1] > 0.3
+    assert places[0, 1] == pytest.approx(places[1, 1], abs=1e-6)
+
+
+def test_from_behind_one_looks_along_with_the_robot():
+    robot_m, yaw_rad = np.array([1.0, 2.0, 0.1]), 2.0
+    sight = from_behind(robot_m, yaw_rad, LANDSCAPE)
+    middle_m = robot_m + np.array([0.0, 0.0, FOLLOW_HEIGHT_M])
+    assert seen_at(sight, middle_m, LANDSCAPE) == pytest.approx((-0.22, 0), abs=1e-9)
+    assert math.atan2(sight.forward[1], sight.forward[0]) == pytest.approx(yaw_rad)
+    assert sight.forward[2] < 0
+    assert sight.distance_m == pytest.approx(FOLLOW_DISTANCE_M)
+
+
+def test_a_view_that_is_chosen_stays_though_the_page_says_the_old_one_yet():
+    old = overview(HALL, LANDSCAPE)
+    follower, robot_m = Follower(old, LANDSCAPE, 0.0), np.zeros(3)
+    follower.jump(from_behind(robot_m, 0.0, LANDSCAPE))
+    told = follower.next(old, robot_m, LANDSCAPE, FRAME_S)
+    assert told is None or told.forward == pytest.approx(from_behind(robot_m, 0, 1.5).forward)
 
 
 def test_straight_down_is_a_way_to_look():

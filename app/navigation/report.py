@@ -183,7 +183,7 @@ class NavigationReport:
                 f"{100 * error.p95:.1f} cm 95th percentile, {100 * error.max:.1f} cm at most"
             )
         if self.gait is not None:
-            lines.append(_gait_line(self.gait))
+            lines.append(gait_line(self.gait))
         if self.min_clearance_m is not None:
             lines.append(f"nearest to an obstacle: {100 * self.min_clearance_m:.0f} cm")
         lines.append(
@@ -193,7 +193,8 @@ class NavigationReport:
         return "\n".join(lines)
 
 
-def _gait_line(gait: GaitSummary) -> str:
+def gait_line(gait: GaitSummary) -> str:
+    """How it walked, for people."""
     height, apex = gait.pelvis_height_m, gait.swing_apex_m
     landing = gait.touchdown_speed_m_s
     down = "" if landing is None else f", soles down at {landing['median']:.2f} m/s"

@@ -28,6 +28,7 @@ _MARGIN = 1.17
 FOLLOW_DISTANCE_M = 4.5
 _PHONE_DISTANCE_M = 8.0
 FOLLOW_HEIGHT_M = 0.8
+_BEHIND_RAD = math.radians(20)
 # So far behind in time that the picture does not sway with the gait.
 _LAG_S = 0.7
 # Whoever turns the view is let alone for so long.
@@ -41,6 +42,7 @@ _ASPECT = 1.5
 _OPENS_FOR_S = 20.0
 _AIM_EVERY_S = 1.0
 _ALIKE_M = 0.05
+VIEWS = ("Map", "Above", "Behind")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +105,26 @@ def overview(grid: OccupancyGrid, aspect: float, *, beside_panel: bool = True) -
     return Sight(position_m=middle_m - distance_m * forward, look_at_m=middle_m)
 
 
+def from_above(grid: OccupancyGrid, aspect: float) -> Sight:
+    """The camera that sees the whole map as a plan is drawn: from above, y upward."""
+    tilted = overview(grid, aspect)
+    x0, y0, x1, y1 = grid.bounds_world()
+    # A hair from the vertical, where it would not be known which way is up.
+    forward = np.array([0.0, 1e-3, -1.0])
+    middle_m = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
+    return centred(middle_m, forward / np.linalg.norm(forward), tilted.distance_m, aspect)
+
+
+def from_behind(robot_m: np.ndarray, yaw_rad: float, aspect: float) -> Sight:
+    """The camera behind a robot that faces yaw_rad and stands on the ground at robot_m (3,)."""
+    down = _BEHIND_RAD
+    ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
+    forward = math.cos(down) * ahead - np.array([0.0, 0.0, math.sin(down)])
+    distance_m = _PHONE_DISTANCE_M if is_phone(aspect) else FOLLOW_DISTANCE_M
+    point_m = robot_m + np.array([0.0, 0.0, FOLLOW_HEIGHT_M])
+    return centred(point_m, forward, distance_m, aspect)
+
+
 class Follower:
     """One page's camera on its way after the robot.
 
@@ -144,6 +166,11 @@ class Follower:
         self._told.append(self._sight)
         return self._sight
 
+    def jump(self, to: Sight) -> None:
+        """Notes that the page is told to look from elsewhere; it may say the old place for long."""
+        self._told.append(to)
+        self._sight, self._distance_m = to, to.distance_m
+
     def hold(self, now_s: float) -> None:
         """Lets the camera alone for a moment, because somebody has their hands on the page."""
         self._free_from_s = now_s + HANDS_OFF_S
@@ -184,6 +211,7 @@ class Cameras:
         aim_pages(server, self._begin)
         self._visitors: dict[int, _Visitor] = {}
         self._lock = threading.Lock()
+        self._robot_m, self._yaw_rad = np.zeros(3), 0.0
         server.on_client_connect(self._came)
         server.on_client_disconnect(self._left)
 
@@ -192,9 +220,10 @@ class Cameras:
         """How many pages are open."""
         return len(self._visitors)
 
-    def show(self, ground_m: np.ndarray) -> None:
+    def show(self, ground_m: np.ndarray, yaw_rad: float) -> None:
         """Moves the cameras that follow; ground_m (3,) is the ground below the robot."""
         now_s = time.monotonic()
+        self._robot_m, self._yaw_rad = ground_m, yaw_rad
         with self._lock:
             visitors = list(self._visitors.values())
         for visitor in visitors:
@@ -240,9 +269,26 @@ class Cameras:
         aspect = client.camera.aspect
         visitor = _Visitor(client=client, switch=switch, is_upright=is_phone(aspect))
         switch.on_update(lambda _event: self._switched(visitor))
+        views = client.gui.add_button_group("View", VIEWS, order=self._order)
+        views.on_click(lambda event: self.look(visitor, event.target.value))
         with self._lock:
             self._visitors[client.client_id] = visitor
         _aim(client, overview(self._grid, aspect))
+
+    def look(self, visitor: _Visitor, view: str) -> None:
+        """Aims a page's camera as one of VIEWS says; behind the robot it goes on to follow."""
+        aspect = visitor.client.camera.aspect
+        follows = view == "Behind"
+        if follows:
+            sight = from_behind(self._robot_m, self._yaw_rad, aspect)
+            visitor.follower = Follower(_sight(visitor.client.camera), aspect, time.monotonic())
+            visitor.follower.jump(sight)
+        else:
+            visitor.follower = None
+            sight = (from_above if view == "Above" else overview)(self._grid, aspect)
+        if visitor.switch.value != follows:
+            visitor.switch.value = follows
+        _aim(visitor.client, sight)
 
     def _left(self, client: viser.ClientHandle) -> None:
         with self._lock:
@@ -250,8 +296,10 @@ class Cameras:
 
     def _switched(self, visitor: _Visitor) -> None:
         camera = visitor.client.camera
-        follower = Follower(_sight(camera), camera.aspect, time.monotonic())
-        visitor.follower = follower if visitor.switch.value else None
+        if not visitor.switch.value:
+            visitor.follower = None
+        elif visitor.follower is None:
+            visitor.follower = Follower(_sight(camera), camera.aspect, time.monotonic())
 
 
 def aim_pages(server: viser.ViserServer, sight: Sight) -> None:

@@ -162,7 +162,8 @@ class Page:
             self._show_steps(snapshot)
             self._shown = snapshot
         place = snapshot.qpos[:2]
-        self.cameras.show(np.array([*place, float(self._grid.height_m(place))]))
+        ground_m = np.array([*place, float(self._grid.height_m(place))])
+        self.cameras.show(ground_m, float(pelvis_yaw_rad(snapshot.qpos[None])[0]))
         now_s = time.monotonic()
         if now_s - self._text_s >= self.text_every_s:
             self._text_s = now_s

@@ -34,6 +34,12 @@ _HINTS = {
 }
 _TOOL_KEYS: dict[Tool, Any] = {Tool.GOAL: "G", Tool.BOX: "B", Tool.ROBOT: "R", Tool.LOOK: "L"}
 _SPEED_KEYS: dict[str, Any] = {"Pause": "P", "Slow": "2", "1x": "1", "Fastest": "F"}
+_OTHER_KEYS = {
+    "C": "the camera follows, or does not",
+    "X": "stop",
+    "0": "reset",
+    "backspace": "remove the last box",
+}
 _PLOT_HEIGHT_PX = 170
 # The latest steps are what one wants to see.
 _STEPS_SHOWN = 60
@@ -94,6 +100,7 @@ class Panel:
             for name in ("plan.json", "report.json"):
                 gui.add_button(name).on_click(partial(self._save, name))
         with gui.add_folder("Plots") as folder:
+            self._gait = gui.add_markdown("", visible=False)
             self.plots = Plots(gui)
         self.map_order = folder.order - 0.5
         for tool, key in _TOOL_KEYS.items():
@@ -102,6 +109,8 @@ class Panel:
             self._add_key(f"Speed: {name}", key, partial(self.set_speed, name))
         follow = gui.add_command("Camera follows, or does not", hotkey="C")
         follow.on_trigger(lambda event: toggle_follow(event.client_id))
+        with gui.add_folder("Keys", expand_by_default=False):
+            gui.add_markdown(_keys_text())
         self._add_key("Stop", "X", session.stop)
         self._add_key("Reset", "0", session.reset)
         self._add_key("Remove the last box", "backspace", obstacle_editor.remove_last)
@@ -120,11 +129,12 @@ class Panel:
         is_news, self._heard = notice != self._heard, notice
         refused = notice.refused if notice is not None and is_news else None
         is_start = notice is not None and notice.puts_robot
-        # Poses as they hold, also where something was typed that has just been refused. As long as
-        # there is no goal at all the refused one stays, to be corrected.
-        self.start.show(snapshot.start, anew=refused is not None and is_start)
-        goal = snapshot.requested or snapshot.goal or (None if is_start else refused)
-        self.goal.show(goal, anew=refused is not None and not is_start)
+        self.start.show(snapshot.start)
+        self.goal.show(snapshot.requested or snapshot.goal)
+        if refused is not None:
+            (self.start if is_start else self.goal).correct(refused)
+        if snapshot.gait != self._gait.content:
+            self._gait.content, self._gait.visible = snapshot.gait, bool(snapshot.gait)
         if is_news:
             self._show_notice(notice)
 
@@ -212,11 +222,15 @@ class PoseFields:
         yaw_rad = math.radians(self._degrees.value)
         return float(self._x.value), float(self._y.value), yaw_rad
 
-    def show(self, pose: Pose | None, *, anew: bool = False) -> None:
-        """Puts a pose there; if it is that of the last time, what was typed stays unless `anew`."""
-        if pose is None or (pose == self._shown and not anew):
+    def show(self, pose: Pose | None) -> None:
+        """Puts a pose there; if it is that of the last time, what was typed stays."""
+        if pose is None or pose == self._shown:
             return
         self._shown = pose
+        self.correct(pose)
+
+    def correct(self, pose: Pose) -> None:
+        """Puts a pose there that was refused, to be corrected; it stays until another one holds."""
         self._x.value, self._y.value = pose[0], pose[1]
         self._degrees.value = round(math.degrees(pose[2]), 1)
 
@@ -247,6 +261,14 @@ class Plots:
             return
         self._latest_s = float(forces[0, -1])
         self._forces.data = (forces[0], forces[1], forces[2])
+
+
+def _keys_text() -> str:
+    """What each key does, as Markdown."""
+    keys = {str(key): f"pointer: {tool}" for tool, key in _TOOL_KEYS.items()}
+    keys |= {str(key): f"speed: {name}" for name, key in _SPEED_KEYS.items()}
+    keys |= _OTHER_KEYS
+    return "\n".join(f"- **{key}** {does}" for key, does in keys.items())
 
 
 def _add_plot(

@@ -19,7 +19,7 @@ import numpy as np
 from app.navigation.live_navigator import LiveNavigator, Notice, Replanner, WalkHistory
 from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
 from app.navigation.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
-from app.navigation.report import NavigationReport
+from app.navigation.report import NavigationReport, gait_line
 from app.output import InputError
 from app.viewer.obstacles import Obstacle, with_obstacles
 from controller.gait import CONTROL_PERIOD_S
@@ -47,8 +47,8 @@ class Snapshot:
     goal that is being planned for. `done` steps of `plan` have been taken.
     placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
     path_world (T, 2) of the body, four points a second. `speed` is simulated over real time as it
-    is reached; `loading` what there is to wait for before the first plan; `answer_s` the real time
-    from question to plan. `walk` counts the walks begun.
+    is reached; `gait` how a walk went that is over; `loading` what there is to wait for before the
+    first plan; `answer_s` the real time from question to plan. `walk` counts the walks begun.
     """
 
     qpos: np.ndarray
@@ -69,6 +69,7 @@ class Snapshot:
     clearance_m: float | None = None
     goal_error: tuple[float, float] | None = None
     speed: float = 0.0
+    gait: str = ""
     loading: str = ""
     notice: Notice | None = None
 
@@ -213,6 +214,7 @@ class Session:
         )
         self.commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
+        self._gait_of: tuple[Navigator, str] | None = None
         self._loading = _LOADING
         self._planner = PlannerProcess(self.setup.world)
         self._shown_s, self._shown_answer = -math.inf, -1
@@ -401,9 +403,19 @@ class Session:
             clearance_m=history.clearance_m,
             goal_error=navigator.goal_error if navigator.plans else None,
             speed=self.clock.reached,
+            gait=self._gait(navigator),
             loading=self._loading,
             notice=replanner.notice,
         )
+
+    def _gait(self, navigator: Navigator) -> str:
+        """How the walk went; empty while it goes on, and where it was too short to tell."""
+        if navigator.outcome is None:
+            return ""
+        if self._gait_of is None or self._gait_of[0] is not navigator:
+            gait = copy.copy(navigator).report().gait
+            self._gait_of = navigator, "" if gait is None else gait_line(gait)
+        return self._gait_of[1]
 
     def _change(self, **changes: Any) -> None:
         self.setup = replace(self.setup, **changes)
