@@ -16,7 +16,9 @@ from planner.robot_model import Side
 
 STANCE = 2  # entries of a sequence before its first step
 # Share of its swing during which a foot that must clear something is on its way up.
-RISING_SHARE = 0.5
+RISING_SHARE = 0.7
+# So much higher than what it clears the policy is told that its step is.
+CLEARED_BY_M = 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,11 +235,11 @@ class StepCursor:
         """The window (B, 2, 4) as the policy sees it.
 
         It is not told what lies between the steps. So a foot that must clear something sees a
-        step as high as that while it is on its way up, and lifts itself onto it.
+        step a little higher than that until it is past it, and lifts itself onto it.
         """
         window = self.window
         rising = self.swinging & (self.tick < RISING_SHARE * self.ticks.swing)
-        raised_m = np.maximum(window[:, 0, 2], self.swing_over_z_m)
+        raised_m = np.maximum(window[:, 0, 2], self.swing_over_z_m + CLEARED_BY_M)
         window[:, 0, 2] = np.where(rising, raised_m, window[:, 0, 2])
         return window
 
