@@ -67,6 +67,7 @@ class Size(NamedTuple):
 
 
 LEAST_PX, MOST_PX = 64, 7680
+_Reader = PrimitiveConstructorSpec[Any]
 Numbers = TypeVar("Numbers", Pose, Interval, Reach)
 
 
@@ -151,9 +152,7 @@ def _show(value: object) -> list[str]:
     return [str(value)]
 
 
-def text(
-    metavar: str, read: Callable[[str], Any] = lambda word: word
-) -> PrimitiveConstructorSpec[Any]:
+def text(metavar: str, read: Callable[[str], Any] = lambda word: word) -> _Reader:
     """Reads one word as it is, or by a function; the metavar stands for it in the help."""
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -171,13 +170,11 @@ def number(
     at_most: float = math.inf,
     whole: bool = False,
     metavar: str = "NUMBER",
-) -> PrimitiveConstructorSpec[Any]:
+) -> _Reader:
     """Reads a finite number within bounds, for `Annotated[float, ...]`."""
     wanted = "a whole number" if whole else "a number"
-    if at_least is not None:
-        wanted += f" of at least {at_least}"
-    if above is not None:
-        wanted += f" above {above}"
+    wanted += "" if at_least is None else f" of at least {at_least}"
+    wanted += "" if above is None else f" above {above}"
 
     def read(word: str) -> Any:
         try:
@@ -195,19 +192,17 @@ def number(
     return text(metavar, read)
 
 
-def whole_number(
-    *, at_least: int, at_most: int = 10**9, metavar: str = "COUNT"
-) -> PrimitiveConstructorSpec[Any]:
+def whole_number(*, at_least: int, at_most: int = 10**9, metavar: str = "COUNT") -> _Reader:
     """Reads a whole number within bounds, for `Annotated[int, ...]`."""
     return number(at_least=at_least, at_most=at_most, whole=True, metavar=metavar)
 
 
-def choice(*names: str) -> PrimitiveConstructorSpec[Any]:
+def choice(*names: str) -> _Reader:
     """Reads one of the names, for `Annotated[str, ...]`."""
     return text("|".join(names), lambda word: _one_of(names, word))
 
 
-def some_of(*names: str) -> PrimitiveConstructorSpec[Any]:
+def some_of(*names: str) -> _Reader:
     """Reads some of the names with commas between, for `Annotated[tuple[str, ...], ...]`."""
 
     def read(words: str) -> tuple[str, ...]:

@@ -142,7 +142,7 @@ def test_steps_take_as_long_as_the_track_says():
     assert cursor.step_s[1] == pytest.approx([1.1, 1.1])
 
 
-def test_a_foot_that_must_clear_something_is_shown_a_higher_step_while_it_rises():
+def test_a_foot_that_must_clear_something_is_shown_a_higher_step_until_it_is_past():
     cursor = StepCursor(TICKS, 2, 3)
     steps = sequence([Side.RIGHT, Side.LEFT, Side.RIGHT])
     over_z_m = np.array([-np.inf, 0.05, -0.1])  # nothing, a sill, and what is lower than the step
@@ -156,9 +156,9 @@ def test_a_foot_that_must_clear_something_is_shown_a_higher_step_while_it_rises(
         assert np.array_equal(shown[0, 0, [0, 1, 3]], cursor.window[0, 0, [0, 1, 3]])
         raised.append(shown[0, 0, 2] - cursor.window[0, 0, 2])
         cursor.advance()
-    # Half of the 30 ticks of the second swing.
-    assert np.flatnonzero(raised).tolist() == list(range(44, 44 + 15))
-    assert np.max(raised) == pytest.approx(0.05)
+    # Until 0.7 of the 30 ticks of the second swing, 3 cm above the sill.
+    assert np.flatnonzero(raised).tolist() == list(range(44, 44 + 21))
+    assert np.max(raised) == pytest.approx(0.05 + 0.03)
     cursor.follow(0, steps, walking=True)
     assert np.array_equal(cursor.shown_window, cursor.window)
 
