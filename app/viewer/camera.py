@@ -42,7 +42,7 @@ _ASPECT = 1.5
 _OPENS_FOR_S = 20.0
 _AIM_EVERY_S = 1.0
 _ALIKE_M = 0.05
-VIEWS = ("Map", "Above", "Behind")
+VIEWS = ("Overview", "Above", "Behind")
 
 
 @dataclass(frozen=True, kw_only=True)
