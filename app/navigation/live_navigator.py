@@ -107,7 +107,7 @@ class LiveNavigator(Navigator):
         if fresh:
             self.plans, self.placed, self.followed = [], [], []
             self.qpos, self.recovery_steps = [self.qpos[-1]], 0
-            self._gait = GaitRecorder(self.walker)
+            self.gait = GaitRecorder(self.walker)
         self.goal, self.outcome, self.reason = tuple(goal), None, ""
         self.going, self.halted, self.idle_s = True, False, 0.0
         self.plans.append(plan)

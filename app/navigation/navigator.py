@@ -123,7 +123,7 @@ class Navigator:
         self.scene = scene_of(grid, robot, unknown_is_free)
         self.walker = Walker(self.scene, threads=1, record=("qvel",))
         self._act = policy.start(self.walker)
-        self._gait = GaitRecorder(self.walker)
+        self.gait = GaitRecorder(self.walker)
         self._footing = Footing(grid, robot.step_model, unknown_is_free)
         self._planner = planner or Planner(grid, robot.step_model, self.config.planner)
         qpos = self.scene.qpos_at(np.array(self.start), self._footing.stand_m(self.start))
@@ -219,7 +219,7 @@ class Navigator:
             seed=self.seed,
             policy=policy,
             controller=controller,
-            gait=self._gait.summary(),
+            gait=self.gait.summary(),
             narrow_place=self.plans[-1].narrow_place if self.plans else None,
             versions=installed_versions(),
         )
@@ -251,7 +251,7 @@ class Navigator:
         self._look_for_failure()
         if self.outcome is not None:
             return
-        self._gait.ticked(self.walker, side, walking=walking, landed=stepped)
+        self.gait.ticked(self.walker, side, walking=walking, landed=stepped)
         if stepped:
             placed_world = self._feet()[side]
             self._landed(

@@ -22,6 +22,7 @@ from app.navigation.planner_process import BlockingPlanner, PlannerProcess, Worl
 from app.navigation.report import NavigationReport, gait_line
 from app.output import InputError
 from app.viewer.obstacles import Obstacle, with_obstacles
+from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.walker import Controller
 from maps.grid import OccupancyGrid
@@ -214,7 +215,7 @@ class Session:
         )
         self.commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
-        self._gait_of: tuple[Navigator, str] | None = None
+        self._gait_of: tuple[GaitRecorder, str] | None = None
         self._loading = _LOADING
         self._planner = PlannerProcess(self.setup.world)
         self._shown_s, self._shown_answer = -math.inf, -1
@@ -412,9 +413,9 @@ class Session:
         """How the walk went; empty while it goes on, and where it was too short to tell."""
         if navigator.outcome is None:
             return ""
-        if self._gait_of is None or self._gait_of[0] is not navigator:
-            gait = copy.copy(navigator).report().gait
-            self._gait_of = navigator, "" if gait is None else gait_line(gait)
+        if self._gait_of is None or self._gait_of[0] is not navigator.gait:
+            gait = navigator.gait.summary()
+            self._gait_of = navigator.gait, "" if gait is None else gait_line(gait)
         return self._gait_of[1]
 
     def _change(self, **changes: Any) -> None:
