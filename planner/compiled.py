@@ -215,7 +215,7 @@ def slots_of(slots: Slots, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
 def first_not_below(ascending: NDArray[np.int64], value: int) -> int:
     """Index of the first number that is at least this value; the last index if none is.
 
-    numpy's own `searchsorted` takes a second more to compile.
+    numpy's own `searchsorted` brings further functions along, which take longer to compile.
     """
     low, high = 0, len(ascending) - 1
     while low < high:
