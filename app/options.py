@@ -67,7 +67,7 @@ class Size(NamedTuple):
 
 
 LEAST_PX, MOST_PX = 64, 7680
-_Reader = PrimitiveConstructorSpec[Any]
+_Spec = PrimitiveConstructorSpec[Any]
 Numbers = TypeVar("Numbers", Pose, Interval, Reach)
 
 
@@ -152,7 +152,7 @@ def _show(value: object) -> list[str]:
     return [str(value)]
 
 
-def text(metavar: str, read: Callable[[str], Any] = lambda word: word) -> _Reader:
+def text(metavar: str, read: Callable[[str], Any] = lambda word: word) -> _Spec:
     """Reads one word as it is, or by a function; the metavar stands for it in the help."""
     return PrimitiveConstructorSpec(
         nargs=1,
@@ -170,7 +170,7 @@ def number(
     at_most: float = math.inf,
     whole: bool = False,
     metavar: str = "NUMBER",
-) -> _Reader:
+) -> _Spec:
     """Reads a finite number within bounds, for `Annotated[float, ...]`."""
     wanted = "a whole number" if whole else "a number"
     wanted += "" if at_least is None else f" of at least {at_least}"
@@ -192,17 +192,17 @@ def number(
     return text(metavar, read)
 
 
-def whole_number(*, at_least: int, at_most: int = 10**9, metavar: str = "COUNT") -> _Reader:
+def whole_number(*, at_least: int, at_most: int = 10**9, metavar: str = "COUNT") -> _Spec:
     """Reads a whole number within bounds, for `Annotated[int, ...]`."""
     return number(at_least=at_least, at_most=at_most, whole=True, metavar=metavar)
 
 
-def choice(*names: str) -> _Reader:
+def choice(*names: str) -> _Spec:
     """Reads one of the names, for `Annotated[str, ...]`."""
     return text("|".join(names), lambda word: _one_of(names, word))
 
 
-def some_of(*names: str) -> _Reader:
+def some_of(*names: str) -> _Spec:
     """Reads some of the names with commas between, for `Annotated[tuple[str, ...], ...]`."""
 
     def read(words: str) -> tuple[str, ...]:

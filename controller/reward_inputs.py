@@ -171,7 +171,6 @@ def reward_inputs(
     return RewardInputs(
         support_indicator=step.support_indicator,
         ground_force_weights=force_z_n.mean(axis=1) / weight_n,
-        foot_error_m=np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2),
         foot_heading_error_rad=np.abs(wrap_angle(soles[..., 3] - targets[..., 3])),
         target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
         root_distance_m=np.linalg.norm(pelvis[:, :2] - window[..., :2].mean(axis=1), axis=1),
@@ -208,7 +207,8 @@ def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[
     height_error_m = np.zeros(len(soles))
     profile_m = swing_height_profile_m(step.swing_end_s[rows], climb_m[rows])
     height_error_m[rows] = height_m[foot] - profile_m
-    path_error_m = np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2)
+    error_m = np.linalg.norm(soles[..., :2] - targets[..., :2], axis=2)
+    path_error_m = error_m.copy()
     path_error_m[foot] = swing_path_error_m(
         soles[foot], step.lift_off[rows], targets[foot], step.swing_gone[rows]
     )
@@ -221,6 +221,7 @@ def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[
         "swing_share": share,
         "sole_speed_m_s": speeds_m_s[:, -1],
         "sole_height_m": height_m,
+        "foot_error_m": error_m,
         "foot_path_error_m": path_error_m,
         "swing_height_error_m": height_error_m,
         "climb_m": climb_m,

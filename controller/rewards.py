@@ -41,8 +41,7 @@ def any_foot_step(s: RewardInputs) -> np.ndarray:
 
 def named_foot_step(s: RewardInputs) -> np.ndarray:
     """Each foot near its own target: a wide kernel to attract it and a narrow one to place it."""
-    near = 0.4 * np.exp(-s.foot_error_m / 0.25) + 0.6 * np.exp(-s.foot_error_m / 0.04)
-    return np.sum(s.swing_share * near, axis=1)
+    return _near(s, s.foot_error_m)
 
 
 def foot_path(s: RewardInputs) -> np.ndarray:
@@ -50,8 +49,13 @@ def foot_path(s: RewardInputs) -> np.ndarray:
 
     A swing foot that is paid for its distance from the target darts there, and then waits.
     """
-    near = 0.4 * np.exp(-s.foot_path_error_m / 0.25) + 0.6 * np.exp(-s.foot_path_error_m / 0.04)
-    return np.sum(s.swing_share * near, axis=1)
+    return _near(s, s.foot_path_error_m)
+
+
+def _near(s: RewardInputs, error_m: np.ndarray) -> np.ndarray:
+    """1 where both feet have no error (B, 2), flat far away and steep near by."""
+    near = 0.4 * np.exp(-error_m / 0.25) + 0.6 * np.exp(-error_m / 0.04)
+    return np.asarray(np.sum(s.swing_share * near, axis=1))
 
 
 def named_foot_heading(s: RewardInputs) -> np.ndarray:

@@ -15,7 +15,7 @@ import pytest
 
 from app.navigation.live_navigator import LiveNavigator, Replanner, WalkHistory
 from app.navigation.navigator import Navigator, NavigatorConfig
-from app.navigation.planner_process import Answer
+from app.navigation.planner_process import Answer, PlannerProcess, World
 from app.viewer.obstacles import Obstacle, snapped
 from app.viewer.session import Session
 from controller.evaluation.gait_summary import LEAST_STEPS
@@ -251,11 +251,12 @@ def test_a_planner_that_dies_is_replaced(session):
 
 def test_a_planner_that_never_starts_is_given_up(monkeypatch):
     monkeypatch.setattr("app.navigation.planner_process.answer_questions", sys.exit)
+    world = World(grid=HALL, model=ROBOT.step_model, options=PlannerOptions())
     with (
-        contextlib.closing(Session(HALL, ROBOT, POLICY)) as session,
+        contextlib.closing(PlannerProcess(world)) as planner,
         pytest.raises(RuntimeError, match="died 3 times"),
     ):
-        wait_until(lambda: session.is_ready(wait_s=1.0))
+        wait_until(lambda: planner.is_ready(wait_s=1.0))
 
 
 def test_a_living_session_tells_that_its_planner_never_starts(monkeypatch):

@@ -34,12 +34,6 @@ _HINTS = {
 }
 _TOOL_KEYS: dict[Tool, Any] = {Tool.GOAL: "G", Tool.BOX: "B", Tool.ROBOT: "R", Tool.LOOK: "L"}
 _SPEED_KEYS: dict[str, Any] = {"Pause": "P", "Slow": "2", "1x": "1", "Fastest": "F"}
-_OTHER_KEYS = {
-    "C": "the camera follows, or does not",
-    "X": "stop",
-    "0": "reset",
-    "backspace": "remove the last box",
-}
 _PLOT_HEIGHT_PX = 170
 # The latest steps are what one wants to see.
 _STEPS_SHOWN = 60
@@ -103,17 +97,18 @@ class Panel:
             self._gait = gui.add_markdown("", visible=False)
             self.plots = Plots(gui)
         self.map_order = folder.order - 0.5
+        self._keys: dict[str, str] = {}
         for tool, key in _TOOL_KEYS.items():
             self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
         for name, key in _SPEED_KEYS.items():
             self._add_key(f"Speed: {name}", key, partial(self.set_speed, name))
-        follow = gui.add_command("Camera follows, or does not", hotkey="C")
+        follow = self._add_command("Camera follows, or does not", "C")
         follow.on_trigger(lambda event: toggle_follow(event.client_id))
-        with gui.add_folder("Keys", expand_by_default=False):
-            gui.add_markdown(_keys_text())
         self._add_key("Stop", "X", session.stop)
         self._add_key("Reset", "0", session.reset)
         self._add_key("Remove the last box", "backspace", obstacle_editor.remove_last)
+        with gui.add_folder("Keys", expand_by_default=False):
+            gui.add_markdown("\n".join(f"- **{key}** {does}" for key, does in self._keys.items()))
 
     @property
     def box_size_m(self) -> tuple[float, float]:
@@ -199,8 +194,11 @@ class Panel:
         epsilon.on_update(changed)
 
     def _add_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
-        command = self._gui.add_command(label, hotkey=key)
-        command.on_trigger(lambda _event: action())
+        self._add_command(label, key).on_trigger(lambda _event: action())
+
+    def _add_command(self, label: str, key: Any) -> Any:
+        self._keys[key] = label
+        return self._gui.add_command(label, hotkey=key)
 
 
 class PoseFields:
@@ -261,14 +259,6 @@ class Plots:
             return
         self._latest_s = float(forces[0, -1])
         self._forces.data = (forces[0], forces[1], forces[2])
-
-
-def _keys_text() -> str:
-    """What each key does, as Markdown."""
-    keys = {str(key): f"pointer: {tool}" for tool, key in _TOOL_KEYS.items()}
-    keys |= {str(key): f"speed: {name}" for name, key in _SPEED_KEYS.items()}
-    keys |= _OTHER_KEYS
-    return "\n".join(f"- **{key}** {does}" for key, does in keys.items())
 
 
 def _add_plot(

@@ -228,10 +228,6 @@ class Session:
         self.snapshot = self._take_snapshot()
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
 
-    def is_ready(self, wait_s: float) -> bool:
-        """Whether a goal would be planned for at once; only before `start`, waits for so long."""
-        return self._planner.is_ready(wait_s)
-
     def start(self) -> None:
         """Begins to live."""
         self._thread.start()
