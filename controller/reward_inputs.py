@@ -72,6 +72,7 @@ class RewardInputs:
     ground_force_weights: np.ndarray  # (B, 2) vertical force over the robot's weight
     sole_speed_m_s: np.ndarray  # (B, 2)
     sole_height_m: np.ndarray  # (B, 2) above the ground of the foot's target
+    sole_tilt_rad: np.ndarray  # (B, 2) of each sole from the horizontal
     foot_error_m: np.ndarray  # (B, 2) horizontal distance of each foot from its own target
     # (B, 2) the same from where it should be by now: a swing foot is on its way to its target
     foot_path_error_m: np.ndarray
@@ -91,7 +92,7 @@ class RewardInputs:
     climb_m: np.ndarray  # (B,) greatest height difference among the footholds of the step
     step_s: np.ndarray  # (B,) duration of the present step
     pelvis_speed_z_m_s: np.ndarray  # (B,) upward
-    power_w: np.ndarray  # (B,) sum over the joints of |torque * speed|
+    power_w_kg: np.ndarray  # (B,) sum over the joints of |torque * speed|, by the robot's mass
     posture_error_rad: np.ndarray  # (B,) mean absolute, of the joints from half-sitting
     standing: np.ndarray  # (B,) commanded to stand
     peak_force_weights: np.ndarray  # (B,) of one foot, over the physics steps
@@ -158,6 +159,7 @@ def reward_inputs(
     sim, sensors, qpos = walker.sim, walker.scene.sensors, walker.sim.qpos
     targets, window = step.foot_targets, step.window
     latest, soles = sim.sensors[:, -1], walker.soles_world()
+    sole_up = latest[:, sensors.sole_z_axis_world[:, 2]]
     pelvis = latest[:, sensors.pelvis_pos_world]
     head_offset = latest[:, sensors.head_pos_world[:2]] - pelvis[:, :2]
     torque_nm = walker.joint_torque_nm()
@@ -172,6 +174,7 @@ def reward_inputs(
         support_indicator=step.support_indicator,
         ground_force_weights=force_z_n.mean(axis=1) / weight_n,
         foot_heading_error_rad=np.abs(wrap_angle(soles[..., 3] - targets[..., 3])),
+        sole_tilt_rad=np.arccos(np.clip(sole_up, -1, 1)),
         target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
         root_distance_m=np.linalg.norm(pelvis[:, :2] - window[..., :2].mean(axis=1), axis=1),
         tilt_rad=np.arccos(np.clip(1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2), -1, 1)),
@@ -184,7 +187,7 @@ def reward_inputs(
         joint_acceleration_rad_s2=np.abs(joint_speed_change).mean(axis=1) / CONTROL_PERIOD_S,
         step_s=step.step_s,
         pelvis_speed_z_m_s=latest[:, sensors.pelvis_linvel_world[2]],
-        power_w=np.abs(torque_nm * joint_speed).sum(axis=1),
+        power_w_kg=np.abs(torque_nm * joint_speed).sum(axis=1) / walker.robot.mass_kg,
         posture_error_rad=np.abs(posture).mean(axis=1),
         standing=step.standing,
         peak_force_weights=force_z_n.max(axis=(1, 2)) / weight_n,

@@ -118,6 +118,14 @@ def joint_acceleration(s: RewardInputs) -> np.ndarray:
     return np.exp(-s.joint_acceleration_rad_s2 / 25)
 
 
+def sole_level(s: RewardInputs) -> np.ndarray:
+    """Both soles horizontal, in the air too.
+
+    A foot that comes down on its heel or its edge does so early, and faster than its middle.
+    """
+    return np.mean(np.exp(-s.sole_tilt_rad / 0.1), axis=1)
+
+
 def stance_at_rest(s: RewardInputs) -> np.ndarray:
     """Support feet at rest."""
     weight = (1 + s.support_indicator) / 2
@@ -143,7 +151,7 @@ def pelvis_speed(s: RewardInputs) -> np.ndarray:
 
 def power(s: RewardInputs) -> np.ndarray:
     """Little mechanical power of the joints."""
-    return np.exp(-s.power_w / 150)
+    return np.exp(-s.power_w_kg / 2.4)
 
 
 def standing_posture(s: RewardInputs) -> np.ndarray:
@@ -180,6 +188,7 @@ TERMS = {
         action_smoothness,
         torque_smoothness,
         joint_acceleration,
+        sole_level,
         stance_at_rest,
         swing_profile,
         pelvis_height,
@@ -216,20 +225,21 @@ PRECISE: Mapping[str, float] = {
 }
 # Upright, quiet, low power. Alone it trains a policy that stands still: see `RewardSchedule`.
 QUIET: Mapping[str, float] = {
-    "ground_force": 0.08,
-    "foot_path": 0.26,
+    "ground_force": 0.07,
+    "foot_path": 0.23,
     "named_foot_heading": 0.05,
-    "stance_at_rest": 0.05,
+    "sole_level": 0.08,
+    "stance_at_rest": 0.04,
     "swing_profile": 0.08,
     "soft_landing": 0.12,
-    "upright": 0.05,
+    "upright": 0.04,
     "facing": 0.04,
     "pelvis_height": 0.06,
     "pelvis_speed": 0.02,
     "power": 0.06,
     "standing_posture": 0.03,
-    "peak_force": 0.03,
-    "joint_acceleration": 0.05,
+    "peak_force": 0.02,
+    "joint_acceleration": 0.04,
     "action_smoothness": 0.02,
 }
 PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}

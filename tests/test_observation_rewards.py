@@ -143,6 +143,7 @@ PERFECT = ri.RewardInputs(
     ground_force_weights=np.array([[1.0, 0.0]]),
     sole_speed_m_s=np.array([[0.0, 2.0]]),
     sole_height_m=np.array([[0.0, 0.07]]),
+    sole_tilt_rad=np.zeros((1, 2)),
     foot_error_m=np.zeros((1, 2)),
     foot_heading_error_rad=np.zeros((1, 2)),
     target_distance_m=np.zeros(1),
@@ -161,7 +162,7 @@ PERFECT = ri.RewardInputs(
     climb_m=np.zeros(1),
     step_s=np.array([1.0]),
     pelvis_speed_z_m_s=np.zeros(1),
-    power_w=np.zeros(1),
+    power_w_kg=np.zeros(1),
     posture_error_rad=np.zeros(1),
     standing=np.array([False]),
     peak_force_weights=np.ones(1),
@@ -211,6 +212,7 @@ def test_weights_sum_to_1(preset):
         ("upper_body", {"head_offset_m": np.array([0.2])}, np.exp(-0.4)),
         ("action_smoothness", {"action_change_rad": np.array([0.2])}, np.exp(-1)),
         ("torque_smoothness", {"torque_change_nm": np.array([4.0])}, np.exp(-1)),
+        ("sole_level", {"sole_tilt_rad": np.array([[0.0, 0.1]])}, (1 + np.exp(-1)) / 2),
         # the swing foot may be as fast as it likes, the other not; both count on the way between
         ("stance_at_rest", {"sole_speed_m_s": np.array([[0.1, 9.0]])}, np.exp(-1)),
         (
@@ -230,7 +232,7 @@ def test_weights_sum_to_1(preset):
             {"pelvis_speed_z_m_s": np.array([0.25]), "climb_m": np.array([0.1])},
             np.exp(-1),
         ),
-        ("power", {"power_w": np.array([300.0])}, np.exp(-2)),
+        ("power", {"power_w_kg": np.array([4.8])}, np.exp(-2)),
         ("standing_posture", {"posture_error_rad": np.array([0.1])}, 1.0),
         (
             "standing_posture",
