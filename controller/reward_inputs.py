@@ -13,6 +13,7 @@ from controller.gait import CONTROL_PERIOD_S
 from controller.observation import pelvis_yaw_rad
 from controller.walker import Walker
 from planner.plan import wrap_angle
+from planner.robot_model import FootShape
 
 SWING_FOOT_SHARE = 0.7
 # Apex of the swing on level ground, and its increase per metre of climb: edges and treads that are
@@ -96,7 +97,8 @@ class RewardInputs:
     posture_error_rad: np.ndarray  # (B,) mean absolute, of the joints from half-sitting
     standing: np.ndarray  # (B,) commanded to stand
     peak_force_weights: np.ndarray  # (B,) of one foot, over the physics steps
-    # (B, 2) most over the physics steps, of the sole's speed above that allowed at its height
+    # (B, 2) most over the physics steps, of the sole's speed above that allowed at the height of
+    # its lowest corner
     landing_overspeed_m_s: np.ndarray
 
 
@@ -150,6 +152,20 @@ def swing_path_error_m(
     place = start[:, :2] + gone[:, None] * (target[:, :2] - start[:, :2])
     forgiven_m = 4 * gone * (1 - gone) * np.abs(target[:, 2] - start[:, 2])
     return np.maximum(np.linalg.norm(sole[:, :2] - place, axis=1) - forgiven_m, 0.0)
+
+
+def lowest_corner_m(
+    sole_z_m: np.ndarray, x_axis_z: np.ndarray, z_axis_z: np.ndarray, foot: FootShape
+) -> np.ndarray:
+    """Height of the lowest corner of each sole, from that of its middle (any shape).
+
+    `x_axis_z` and `z_axis_z` are the z components of the sole's axes, along it and out of its upper
+    side.
+    """
+    # The z components of three axes at right angles are a unit vector.
+    y_axis_z = np.sqrt(np.clip(1 - x_axis_z**2 - z_axis_z**2, 0.0, 1.0))
+    below_m = 0.5 * (foot.length_m * np.abs(x_axis_z) + foot.width_m * y_axis_z)
+    return np.asarray(sole_z_m - below_m)
 
 
 def reward_inputs(
@@ -216,7 +232,16 @@ def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[
         soles[foot], step.lift_off[rows], targets[foot], step.swing_gone[rows]
     )
     # A foot may touch down between two control steps, so each physics step counts.
-    heights_m = sim.sensors[:, :, sensors.sole_pos_world[:, 2]] - ground_z[:, None]
+    sole_z_m, x_axis_z, z_axis_z = (
+        sim.sensors[:, :, of_sole[:, 2]]
+        for of_sole in (
+            sensors.sole_pos_world,
+            sensors.sole_x_axis_world,
+            sensors.sole_z_axis_world,
+        )
+    )
+    foot_shape = walker.robot.step_model.foot
+    heights_m = lowest_corner_m(sole_z_m, x_axis_z, z_axis_z, foot_shape) - ground_z[:, None]
     speeds_m_s = np.linalg.norm(sim.sensors[:, :, sensors.sole_linvel_world], axis=3)
     allowed_m_s = TOUCHDOWN_M_S + FASTER_PER_S * np.maximum(heights_m, 0.0)
     overspeed_m_s = np.where(heights_m < NEAR_GROUND_M, speeds_m_s - allowed_m_s, 0.0)

@@ -119,11 +119,13 @@ def joint_acceleration(s: RewardInputs) -> np.ndarray:
 
 
 def sole_level(s: RewardInputs) -> np.ndarray:
-    """Both soles horizontal, in the air too.
+    """Both soles horizontal, in the air too; as steep far from it as near.
 
-    A foot that comes down on its heel or its edge does so early, and faster than its middle.
+    A foot that comes down on its heel or its edge does so early, before it has slowed down. On
+    stairs a heel is raised to clear the edge behind it: 20 degrees for 10 cm.
     """
-    return np.mean(np.exp(-s.sole_tilt_rad / 0.1), axis=1)
+    tilt_rad = np.maximum(s.sole_tilt_rad - 3.5 * s.climb_m[:, None], 0.0)
+    return 1 - np.mean(np.minimum(tilt_rad / 0.2, 2.0), axis=1)
 
 
 def stance_at_rest(s: RewardInputs) -> np.ndarray:
