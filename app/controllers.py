@@ -12,7 +12,8 @@ from sim.robot import Robot
 if TYPE_CHECKING:
     from controller.walker import Controller
 
-ControllerOption = Annotated[str, choice("policy", "lipm")]
+CONTROLLERS = ("policy", "lipm")
+ControllerOption = Annotated[str, choice(*CONTROLLERS)]
 
 
 def load_controlled(options: RobotOptions, controller: str, pace: str) -> tuple[Robot, Controller]:

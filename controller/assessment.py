@@ -1,4 +1,4 @@
-"""Assessment of a policy: falls and foot errors over held-out episodes of one mode."""
+"""Assessment of a controller: falls and foot errors over held-out episodes of one mode."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from controller.observation import rotate_xy
 from controller.policy import Policy
 from controller.randomization import DomainRandomization
 from controller.stairs import STAIR_MODES
+from controller.walker import Controller
 from sim.robot import Robot
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ class ModeResult:
 
 def assess_mode(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     mode: str | None,
     *,
     episodes: int,
@@ -99,13 +100,13 @@ def assess_mode(
     joint_noise_deg: float = 0.0,
     step_s: float | None = None,
 ) -> ModeResult:
-    """Run `episodes` held-out episodes at once with the deterministic policy.
+    """Run `episodes` held-out episodes at once, of a policy without exploration.
 
     Nothing is shared with training, and nothing is randomized but the arguments.
 
     Args:
         robot: the robot.
-        policy: its policy.
+        controller: what walks it; a policy acts on what noisy sensors tell.
         mode: one of `MODES`, `STAIR_MODES` or `standing`; None is a mix of the flat ones.
         episodes: number of episodes.
         seed: of the steps, the ground and the noise.
@@ -134,10 +135,10 @@ def assess_mode(
     task = WalkTask(
         robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config, stage=stage
     )
-    return _run_episodes(task, policy)
+    return _run_episodes(task, controller)
 
 
-def _run_episodes(task: WalkTask, policy: Policy) -> ModeResult:
+def _run_episodes(task: WalkTask, controller: Controller) -> ModeResult:
     """The first episode of each robot of a task."""
     rows = np.arange(task.count)
     alive = np.ones(task.count, dtype=bool)
@@ -145,10 +146,15 @@ def _run_episodes(task: WalkTask, policy: Policy) -> ModeResult:
     ticks = np.zeros(task.count, dtype=np.int64)
     landings: dict[str, list[np.ndarray]] = {name: [] for name in _PER_LANDING}
     observation = task.observe()
+    task.walker.noise = task.sense
+    act = controller.start(task.walker)
     for _ in range(task.config.episode_ticks):
         foot = rows, task.walker.cursor.side
         target = task.walker.cursor.foot_targets[foot]
-        step = task.step(policy.act(task.unscaled(observation)))
+        if isinstance(controller, Policy):
+            step = task.step(controller.act(task.unscaled(observation)))
+        else:
+            step = task.advance(act)
         observation = step.observation
         ticks += alive
         counted = alive & step.landed

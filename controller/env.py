@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -265,7 +265,11 @@ class WalkTask:
         self._true_observation = (observation - offset) / scale
         if self.stage.disturbance_level == 0:
             return self._true_observation
-        return (self._disturbances.sense(self._rng, observation) - offset) / scale
+        return (self.sense(observation) - offset) / scale
+
+    def sense(self, observation: np.ndarray) -> np.ndarray:
+        """An unscaled observation (B, N) with the noise of the present episodes' sensors."""
+        return self._disturbances.sense(self._rng, observation)
 
     def unscaled(self, observation: np.ndarray) -> np.ndarray:
         """The observation before scaling: a policy brings its own scale."""
@@ -274,10 +278,14 @@ class WalkTask:
 
     def step(self, action: np.ndarray) -> Transition:
         """Act on every robot, reward it, and start new episodes where one has ended."""
+        return self.advance(lambda: self.walker.act(action))
+
+    def advance(self, act: Callable[[], np.ndarray]) -> Transition:
+        """The same as `step`, by a function that advances the walker as `Walker.act` does."""
         targets = StepTargets.of(self.walker)
         foot = np.arange(self.count), targets.side
         self._disturbances.push(self.walker.sim, self.ticks)
-        landed = self.walker.act(action)
+        landed = act()
         failed = self.walker.sim.failed.copy()
         inputs = reward_inputs(self.walker, targets, self._torque_nm)
         self._torque_nm = self.walker.joint_torque_nm()

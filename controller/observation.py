@@ -95,6 +95,12 @@ def mirror_map(fields: tuple[ObsField, ...]) -> tuple[np.ndarray, np.ndarray]:
     return index, np.concatenate([field.sign for field in fields])
 
 
+def places(fields: tuple[ObsField, ...]) -> dict[str, slice]:
+    """Where each field lies in the observation, by name."""
+    ends = np.cumsum([field.width for field in fields]).tolist()
+    return {f.name: slice(end - f.width, end) for f, end in zip(fields, ends, strict=True)}
+
+
 def layout(fields: tuple[ObsField, ...]) -> list[list[object]]:
     """Names and widths, as stored beside a policy and compared when it is loaded."""
     return [[field.name, field.width] for field in fields]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -43,7 +43,9 @@ class Walker:
     An action (B, J) is an offset in rad from half-sitting. The joint target is the mean of the
     new action and the one before, as in the reference code of Singh et al. 2022.
     `placed` (B,) counts how often each was put into a state; `failures` holds why the controller of
-    each gave up, "" while it has not.
+    each gave up, "" while it has not; `relaxed` how often each stage of it dropped its constraints,
+    for controllers that have such stages.
+    `noise` adds to an observation what its sensors err by, which `observe` itself is without.
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps.
     """
 
@@ -58,16 +60,13 @@ class Walker:
     ):
         self.scene = scene
         self.robot = scene.robot
-        self.sim = SimBatch(
-            scene,
-            count=count,
-            control_period_s=CONTROL_PERIOD_S,
-            threads=threads,
-            record=record,
-        )
+        self._settings: dict[str, Any] = {"count": count, "threads": threads, "record": record}
+        self.sim = SimBatch(scene, control_period_s=CONTROL_PERIOD_S, **self._settings)
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
         self.failures = [""] * count
+        self.relaxed: list[dict[str, int]] = [{} for _ in range(count)]
+        self.noise: Callable[[np.ndarray], np.ndarray] = lambda observation: observation
         self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
         self._sent = np.zeros((count, len(self.robot.joints)))
@@ -78,6 +77,15 @@ class Walker:
         self.action[row] = self._sent[row] = 0.0
         self.placed[row] += 1
         self.failures[row] = ""
+        self.relaxed[row] = {}
+
+    def enter(self, scene: Scene) -> None:
+        """Go on in the same state in another scene of the robot, such as one with more walls."""
+        before = self.sim
+        self.scene = scene
+        self.sim = SimBatch(scene, control_period_s=CONTROL_PERIOD_S, **self._settings)
+        self.sim.reset(np.arange(before.count), before.qpos, before.qvel)
+        self.sim.sensors[:] = before.sensors
 
     def follow(
         self, row: int, sequence: StepSequence, *, wait_ticks: int = 0, walking: bool = False
@@ -135,10 +143,14 @@ class Walker:
         return self.sim.sensors[:, -1][:, self.scene.sensors.joint_torque]
 
     def fallen(self) -> np.ndarray:
-        """Robots (B,) whose pelvis is too low, whose legs touch, or whose simulation failed."""
+        """Robots (B,) whose pelvis is too low, whose legs touch, or whose controller gave up.
+
+        Or whose simulation failed.
+        """
         sensors, latest = self.scene.sensors, self.sim.sensors[:, -1]
         lower_sole_z = latest[:, sensors.sole_pos_world[:, 2]].min(axis=1)
         height_m = latest[:, sensors.pelvis_pos_world[2]] - lower_sole_z
         touching = self.sim.sensors[:, :, sensors.legs_touching[0]].max(axis=1) > 0
         # Negated so that nan counts as a fall.
-        return self.sim.failed | ~(height_m >= self.robot.fallen_height_m) | touching
+        gave_up = np.array(self.failures, dtype=bool)
+        return self.sim.failed | ~(height_m >= self.robot.fallen_height_m) | touching | gave_up

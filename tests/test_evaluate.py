@@ -15,8 +15,9 @@ from app.evaluation import limits, sections
 from app.evaluation.figures import FIGURES, write_figures
 from app.evaluation.limits import measured_of, sole_errors_m
 from app.evaluation.parts import EvaluationSetup, finite
-from app.evaluation.report_text import plain_joint, report, table
+from app.evaluation.report_text import report
 from app.evaluation.sections import SECTIONS, mode_row
+from app.evaluation.tables import plain_joint, table
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
 from controller.policy import POLICY_FOLDER, load_policy
@@ -75,7 +76,7 @@ def measured_results():
 
 
 def evaluation_setup(episodes: int = 100) -> EvaluationSetup:
-    return EvaluationSetup(robot=ROBOT, policy=load_policy(ROBOT), episodes=episodes, seed=1)
+    return EvaluationSetup(robot=ROBOT, controller=load_policy(ROBOT), episodes=episodes, seed=1)
 
 
 def document_of(results, stored=None, names=SECTION_NAMES):
@@ -123,7 +124,7 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     assert len(document["limits"]["map"]["kinds"]) == 3
     text = (tmp_path / "report.md").read_text()
     assert all(f"| {mode} |" in text for mode in MODES)
-    for name in FIGURES.keys() - {"beside.png"}:
+    for name in [name for name in FIGURES if not name.startswith("beside")]:
         assert f"]({name})" in text
         picture_at(tmp_path / name)
     # One walk does not tell 99 %: what is stored beside the weights stays as it is.
@@ -134,7 +135,7 @@ def test_a_run_that_is_cut_off_goes_on_where_it_was(tmp_path, capsys, monkeypatc
     words = [*WORDS, "--sections", "modes", "--json", "--out", str(tmp_path)]
     asked = []
 
-    def assess(robot, policy, mode, **settings):
+    def assess(robot, controller, mode, **settings):
         asked.append(mode)
         if len(asked) == 3:
             raise KeyboardInterrupt
@@ -313,6 +314,124 @@ def test_the_gait_stands_beside_the_papers_peaks_of_the_same_robot():
     assert "contact, median / 95th percentile | - / - m/s |" in report(document)
     document["gait"]["walk"] = None
     assert "swing apex" not in report(document)
+
+
+CURVES = ("force_mean", "force_low", "force_high", "contact_mean", "indicator_mean")
+
+
+def made_up_evaluation(scale: float, **who) -> dict:
+    """evaluation.json with every section but limits; figures grow with the scale."""
+    walk = {
+        "pelvis_height_m": {"median": 0.8, "least": 0.75, "at_rest": 0.8},
+        "pelvis_bob_m": 0.01 * scale,
+        "swing_apex_m": {"median": 0.05 * scale, "p95": 0.1},
+        "touchdown_speed_m_s": {"median": 0.15, "p95": 0.3},
+        "peak_force_weights": 1.1 * scale,
+        "cost_of_transport": 0.4 * scale,
+        "speed_m_s": 0.28,
+    }
+    loads = {"peak_torque_nm": 50.0 * scale, "peak_speed_rad_s": 1.5, "rms_torque_nm": 20.0}
+    limits = {"torque_limit_nm": 600.0, "speed_limit_rad_s": 8.0}
+    joints = [{"joint": joint.name, **loads, **limits} for joint in ROBOT.joints]
+    joints[-6]["peak_torque_nm"] *= 1.5  # the right leg's first joint
+    walks = {"walks": 8, "falls": 2}
+    return {
+        **document_of({"modes-forward": mode_row(made_up("forward"))}),
+        **who,
+        "stairs": [
+            stairs_row(way, 0.10, 0.9 / scale, kind, noise)
+            for way in ("up", "down")
+            for kind, noise in (("none", 0.0), ("tread", 0.02), ("joint", 3.0))
+        ],
+        "gait": {
+            **walks,
+            "step_m": 0.3,
+            "joints": joints,
+            "joint_jerk_rad_s3": 150.0,
+            "pelvis_standing_m": 0.8,
+            "walk": walk,
+            "cycle_time_s": [0.5, 1.5],
+            **{name: [[0.5, 1.0], [1.0, 0.5]] for name in CURVES},
+            "force_peak": [1.1, 1.15],
+            "contact_agreement": 1.0,
+            "lift_off_lag_s": 0.0,
+            "touch_down_lag_s": None,
+        },
+        "push": [
+            {
+                "direction": "from behind",
+                "walks": 8,
+                "impulses_ns": [6.2, 12.5],
+                "success": [1, 0.5],
+            }
+        ],
+        "energy": [
+            {
+                **walks,
+                "kind": "sideways",
+                "step": [0.0, 0.3, 0.0],
+                "speed_m_s": 0.1,
+                "cost_of_transport": 0.7 * scale,
+                "power_w": 20.0,
+            }
+        ],
+        "pace": [
+            {**walks, "step_s": 1.1, "step_m": 0.3, "speed_m_s": 0.28},
+            {**walks, "step_s": 0.5, "step_m": 0.3, "falls": 8, "speed_m_s": None},
+        ],
+        "long": {"walks": 8, "seconds": 60.0, "falls": 1, "fell_at_s": [12.0]},
+    }
+
+
+def test_two_controllers_side_by_side(tmp_path, capsys):
+    by_model = {"name": "lipm", "rate_hz": 200, "state": "true base pose"}
+    mine = made_up_evaluation(1.0)
+    other = made_up_evaluation(2.0, policy_sha256=None, trained=None, controller=by_model)
+    mine["beside"] = evaluate.shown_beside(other)
+    write_figures(mine, tmp_path)
+    text = report(mine)
+    for name in FIGURES.keys() - {"limits.png"}:
+        assert f"]({name})" in text
+        picture_at(tmp_path / name)
+    assert "The other is controller lipm (200 Hz; true base pose), evaluated with seed 1" in text
+    for line in (
+        "| mode | falls, policy | falls, lipm |",
+        "| 10 cm down, joints ±3° | 90.0 % of 100 | 45.0 % of 100 |",
+        "| hip pitch | 75 | 150 | 600 | 1.50 | 1.50 | 8 |",
+        "| peak force of one foot, weights | 1.10 | 2.20 |",
+        "| from behind | 100 % / 100 % | 50 % / 50 % |",
+        "| sideways, 30 cm | 0.70 | 1.40 |",
+        "| 0.5 s | 8 of 8 | 8 of 8 | - | - |",
+        "policy: 1 of 8 fell; lipm: 1 of 8 fell",
+    ):
+        assert line in text
+    assert report(other).startswith("# How well jvrc1 follows its steps\n\nController lipm (200")
+    told = refusal(capsys, *WORDS, "--beside", "policy", "--out", tmp_path / "out")
+    assert "--beside policy: that is who walks already; give lipm" in told
+
+
+@pytest.mark.slow
+def test_the_model_based_controller_is_measured_beside_the_policy(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mink")
+    monkeypatch.setattr(sections, "QUICK_STEPS_S", ())
+    words = [*WORDS, "--sections", "pace,modes", "--beside", "lipm", "--json"]
+    monkeypatch.setattr(sections, "MODES", ("forward",))
+    assert main([*words, "--out", str(tmp_path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    beside = document["beside"]
+    assert beside == {
+        key: value
+        for key, value in json.loads((tmp_path / "lipm" / "evaluation.json").read_text()).items()
+        if key in evaluate.SHOWN_BESIDE
+    }
+    assert beside["controller"]["kp_nm_rad"]["L_KNEE"] == 6000.0
+    for each in (document, beside):
+        (pace,) = each["pace"]
+        assert pace["falls"] == 0
+        assert pace["speed_m_s"] == pytest.approx(pace["step_m"] / 1.1, rel=0.05)
+        assert [row["falls"] for row in each["modes"]] == [0, 0, 0]
+    assert document["pace"] != beside["pace"]
+    assert "| falls, lipm |" in (tmp_path / "report.md").read_text()
 
 
 def test_sections_are_chosen_by_name(capsys, tmp_path):

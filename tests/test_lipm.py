@@ -1,9 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("mink")
+
+import mink
 
 from app.controllers import load_controlled
 from app.options import RobotOptions
@@ -18,6 +22,7 @@ from controller.step_cursor import StepSequence, UpcomingSteps
 from controller.walker import Walker
 from sim.robots import get_robot
 from sim.scene import build_scene
+from tests.programs import ROOM, refusal
 
 HALF_SOLE_M = np.array([0.10, 0.05])
 FEET = np.array([[0.0, 0.1, 0.0, 0.0], [0.0, -0.1, 0.0, 0.0]])
@@ -127,22 +132,80 @@ def test_what_it_cannot_walk_is_one_line():
         load_controlled(RobotOptions(), "lipm", "fast")
 
 
+def test_a_pattern_that_cannot_stay_in_the_sole_is_relaxed_and_counted():
+    pattern = PatternGenerator(0.8, HALF_SOLE_M)
+    pendulum = Pendulum(com=np.zeros(2), velocity=np.array([0.0, 3.0]), acceleration=np.zeros(2))
+    on_one_foot = replace(STEP, lift_off_s=np.array([-0.1]), touch_down_s=np.array([5.0]))
+    jerk = pattern.solve(pendulum, phases_of(FEET, on_one_foot))
+    assert pattern.relaxed == 1
+    for each in jerk:
+        pendulum.advance(each, SAMPLE_S)
+    # It still comes to rest over the foot that it stands on.
+    np.testing.assert_allclose(pendulum.com + pendulum.velocity / OMEGA, FEET[0, :2], atol=1e-6)
+
+
+@pytest.mark.parametrize("broken", ["", "limits"])
+def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, broken):
+    robot = stiff(get_robot("jvrc1"))
+    scene = build_scene(robot, timestep_s=0.001)
+    walker = Walker(scene)
+    walker.place(0, scene.standing_qpos)
+    tick = LipmController().start(walker)
+    tick()
+    assert walker.relaxed == [{"pattern": 0, "distribution": 0, "inverse_kinematics": 0}]
+    solve = mink.solve_ik
+
+    def without_solution(*words, limits):
+        if limits or not broken:
+            raise mink.NoSolutionFound("daqp")
+        return solve(*words, limits=limits)
+
+    monkeypatch.setattr(mink, "solve_ik", without_solution)
+    tick()
+    count = walker.relaxed[0]["inverse_kinematics"]
+    if broken:
+        assert (count, walker.failures, walker.fallen()[0]) == (5, [""], False)
+    else:
+        told = ["the inverse kinematics have no solution"]
+        assert (count, walker.failures, walker.fallen()[0]) == (1, told, True)
+    walker.place(0, scene.standing_qpos)
+    assert (walker.failures, walker.relaxed) == ([""], [{}])
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--robot", "h1"], "legs of 6 joints with an ankle that rolls, and those of h1 have 5"),
+        (["--policy", "own.safetensors"], "--policy goes with --controller policy"),
+    ],
+)
+@pytest.mark.parametrize("command", ["serve", "evaluate", "trials"])
+def test_what_it_cannot_walk_is_refused_by_every_command(capsys, tmp_path, command, words, told):
+    needed = {"serve": [], "evaluate": ["--out", tmp_path], "trials": ["--map", ROOM]}[command]
+    assert told in refusal(capsys, command, "--controller", "lipm", *words, *needed)
+
+
 @pytest.mark.slow
 def test_it_takes_two_steps_and_stands_the_same_way_every_time():
     robot = stiff(get_robot("jvrc1"))
     scene = build_scene(robot, timestep_s=0.001)
     ends = []
-    for _ in range(2):
+    for enters in (False, False, True):
         walker = Walker(scene)
         walker.place(0, scene.standing_qpos)
         feet = scene.soles_at(scene.standing_qpos)
         steps = np.array([[0.2, -0.1, 0, 0], [0.2, 0.1, 0, 0]])
         walker.follow(0, StepSequence.of(feet, np.array([1, 0]), steps), wait_ticks=20)
         tick = LipmController().start(walker)
-        for _ in range(160):
+        for number in range(160):
+            if enters and number == 55:
+                assert walker.cursor.swinging[0]
+                walker.enter(build_scene(robot, timestep_s=0.001))
             tick()
         assert not walker.fallen()[0]
         assert walker.cursor.arrived[0]
         np.testing.assert_allclose(walker.soles_world()[0, ::-1], steps, atol=0.02)
         ends.append(walker.sim.qpos.copy())
-    np.testing.assert_array_equal(*ends)
+    np.testing.assert_array_equal(*ends[:2])
+    # The solver of the physics begins anew in another scene, and nothing else does.
+    np.testing.assert_allclose(ends[2], ends[0], atol=1e-3)

@@ -1,23 +1,24 @@
-"""The command `evaluate`: how well a policy walks, section by section, as one report."""
+"""The command `evaluate`: how well a controller walks, section by section, as one report."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from app.controllers import CONTROLLERS, ControllerOption, load_controlled
 from app.navigation.report import installed_versions
 from app.options import (
     CountOption,
     FolderOption,
-    OptionalFolder,
     RobotOptions,
     SeedOption,
     WorkersOption,
     find_robot,
     some_of,
+    text,
 )
 from app.output import (
     ExitCode,
@@ -32,28 +33,31 @@ from app.output import (
 from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import TrackingLimits, tracking_limits_path, tracking_limits_text
 from maps.files import from_json
+from sim.robot import Robot
 
 if TYPE_CHECKING:
     from app.evaluation.parts import EvaluationSetup, Part, Results
+    from controller.walker import Controller
 
 FORMAT = "policy-evaluation/2"
-SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "long", "limits")
+SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "pace", "long", "limits")
 # Sections whose parts are rows of one table; the others have one document for each part.
-TABLES = ("modes", "stairs", "push", "energy")
+TABLES = ("modes", "stairs", "push", "energy", "pace")
 # With fewer walks 99 % and 97 % are told apart by chance only.
 ENOUGH_EPISODES = 100
-# What of another policy's evaluation is shown; the rest stays in its own report.
-SHOWN_BESIDE = ("policy_sha256", "trained", "episodes", "seed", "modes", "stairs", "long")
+# What of another evaluation is shown; the rest stays in its own report.
+SHOWN_BESIDE = ("policy_sha256", "controller", "trained", "episodes", "seed", *SECTION_NAMES[:-1])
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions(RobotOptions):
-    """Measure how well a policy walks, and write one report with figures.
+    """Measure how well a controller walks, and write one report with figures.
 
     Sections: falls and foot errors of every mode (modes), stairs with noise on treads and joints
     (stairs), joint loads, ground force and contact (gait), push recovery (push), speed and cost of
-    transport (energy), a minute of mixed walking (long), and the steps and margins that planning
-    may count on (limits); what the last finds is stored beside the policy, where plans find it.
+    transport (energy), falls and speed with quicker steps (pace), a minute of mixed walking (long),
+    and the steps and margins that planning may count on (limits); what the last finds is stored
+    beside the policy, where plans find it.
     The folder gets report.md, evaluation.json and the figures. What is done is kept when the run
     is cut off: the same command goes on from there.
     """
@@ -73,8 +77,12 @@ class EvaluateOptions(RobotOptions):
     workers: WorkersOption = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
-    beside: OptionalFolder = None
-    """Report of another policy of the robot, to show beside this one, such as runs/other."""
+    controller: ControllerOption = "policy"
+    """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
+
+    beside: Annotated[Path | None, text("DIR|NAME", Path)] = None
+    """What to show beside it: the folder of another evaluation of the robot, such as runs/other,
+    or another controller, such as lipm, which is then measured the same way."""
 
     json: bool = False
     """Print evaluation.json on standard output, and nothing else there."""
@@ -82,19 +90,62 @@ class EvaluateOptions(RobotOptions):
 
 def run(options: EvaluateOptions) -> int:
     """Carries the command out; returns the exit code."""
+    from app.evaluation.report_text import report
+
+    other = other_of(options)
+    # What is wrong with one of them is said before anything is measured.
+    measured = [load_measured(each) for each in (options, other) if each is not None]
+    beside: dict[str, Any] | None = None
+    if other is None and options.beside is not None:
+        beside = read_beside(options.beside, measured[0][0].name)
+    claim_folder(options.out, option="--out")
+    if other is not None:
+        claim_folder(other.out, option="--out")
+        beside = shown_beside(evaluated(other, *measured[1]))
+    document = evaluated(options, *measured[0], beside)
+    print(to_json(document) if options.json else report(document), end="")
+    return ExitCode.DONE
+
+
+def load_measured(options: EvaluateOptions) -> tuple[Robot, Controller]:
+    """The robot as its file states it, whatever was measured of it before, and what walks it."""
+    if options.controller != "policy":
+        return load_controlled(options, options.controller, "normal")
+    robot = find_robot(options.robot)
+    with as_bad_input(PolicyError):
+        return robot, load_policy(robot, options.policy)
+
+
+def other_of(options: EvaluateOptions) -> EvaluateOptions | None:
+    """How the controller that `--beside` names is measured: the same way, in a folder within.
+
+    Raises:
+        InputError: It is the one that walks already.
+    """
+    name = str(options.beside)
+    if name not in CONTROLLERS:
+        return None
+    if name == options.controller:
+        others = " or ".join(each for each in CONTROLLERS if each != name)
+        raise InputError(f"--beside {name}: that is who walks already; give {others}")
+    return replace(options, controller=name, policy=None, beside=None, out=options.out / name)
+
+
+def evaluated(
+    options: EvaluateOptions,
+    robot: Robot,
+    controller: Controller,
+    beside: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """evaluation.json, measured and written with its report and figures."""
     from app.evaluation.limits import measured_of
     from app.evaluation.parts import EvaluationSetup
     from app.evaluation.report_text import report
     from app.evaluation.sections import SECTIONS
 
-    robot = find_robot(options.robot)
-    with as_bad_input(PolicyError):
-        policy = load_policy(robot, options.policy)
-    beside = {"beside": read_beside(options.beside, robot.name)} if options.beside else {}
-    claim_folder(options.out, option="--out")
     setup = EvaluationSetup(
         robot=robot,
-        policy=policy,
+        controller=controller,
         episodes=options.episodes,
         seed=options.seed,
         threads=options.workers or os.cpu_count() or 1,
@@ -112,14 +163,15 @@ def run(options: EvaluateOptions) -> int:
         write(document_of(setup, parts, results, None))
         raise
     stored = store_limits(options, setup, measured_of(setup, results))
-    document = document_of(setup, parts, results, stored) | beside
+    document = document_of(setup, parts, results, stored)
+    if beside is not None:
+        document["beside"] = beside
     # Here and not above: it takes a while to load, and a run that is cut off needs none of it.
     from app.evaluation.figures import write_figures
 
     write_figures(document, options.out)
     write(document)
-    print(to_json(document) if options.json else report(document), end="")
-    return ExitCode.DONE
+    return document
 
 
 def _measure(
@@ -150,6 +202,9 @@ def store_limits(
     """Put what planning is to know beside the weights; gives the file, or None if it is not put."""
     if measured is None or "limits" not in options.sections:
         return None
+    if options.controller != "policy":
+        say(f"limits of {options.controller} are not stored: it plans with the robot's file")
+        return None
     path = tracking_limits_path(options.policy, setup.robot)
     if setup.episodes < ENOUGH_EPISODES:
         say(f"{setup.episodes} episodes are too few to tell 99 %: {path} is left as it is")
@@ -172,8 +227,8 @@ def document_of(
     document: dict[str, Any] = {
         "format": FORMAT,
         "robot": setup.robot.name,
-        "policy_sha256": setup.policy.about["sha256"],
-        "trained": setup.policy.about.get("trained"),
+        **setup.who,
+        "trained": setup.trained,
         "episodes": setup.episodes,
         "seed": setup.seed,
         "versions": installed_versions(),
@@ -216,4 +271,9 @@ def read_beside(folder: Path, robot: str) -> dict[str, Any]:
         raise InputError(f"--beside: {path} is of {document.get('robot')}, not of {robot}")
     if not document.get("modes"):
         raise InputError(f"--beside: {path} has no modes; measure it with --sections modes")
+    return shown_beside(document)
+
+
+def shown_beside(document: Mapping[str, Any]) -> dict[str, Any]:
+    """What a report says of another evaluation."""
     return {key: document[key] for key in SHOWN_BESIDE if key in document}

@@ -44,7 +44,6 @@ from app.output import (
 from app.ros.recording import Recorder, recording, require_recordable
 from app.workers import compile_planner
 from controller.gait import CONTROL_PERIOD_S
-from controller.lipm.servos import report_of
 from controller.policy import POLICY_FOLDER
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
@@ -169,7 +168,6 @@ def run(options: NavigateOptions) -> int:
             policy=None
             if by_model
             else PolicyFile.of(options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"),
-            controller=report_of(robot) if by_model else None,
             compile_time_s=compiled_s + navigator.compile_time_s,
             wall_time_s=time.perf_counter() - started,
         )
@@ -335,6 +333,9 @@ def viewed(
         goal=options.goal,
         options=options.search,
         seed=options.seed,
+        load=lambda name: load_controlled(
+            dataclasses.replace(options, robot=name, policy=None), options.controller, options.pace
+        ),
     ) as page:
         session = page.session
         say(f"open {page.server.url} in a browser to watch; the walk begins when it is open")

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from app.controllers import ControllerOption, load_controlled
 from app.options import (
     FileOption,
     PlanningOptions,
     Pose,
     PoseOption,
-    load_walker,
     read_grid,
     text,
     whole_number,
 )
 from app.output import InputError, ProgressBar, say
-from controller.policy import Policy
 from maps.grid import OccupancyGrid
 from maps.map_files import COMES_ALONG
 from sim.robot import Robot
@@ -34,6 +33,9 @@ class ServeOptions(PlanningOptions):
 
     The page is for this machine alone unless --host says more. Ctrl-C ends it.
     """
+
+    controller: ControllerOption = "policy"
+    """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
 
     map: FileOption = Path("maps/room.png")
     """The map: an image with its YAML beside it, or the YAML, such as maps/office.png."""
@@ -60,10 +62,10 @@ def run(options: ServeOptions) -> int:
 
     grid = read_grid(options)
 
-    policy: Controller
-
-    def load(name: str) -> tuple[Robot, Policy]:
-        return load_walker(name, options.policy if name == options.robot else None)
+    def load(name: str) -> tuple[Robot, Controller]:
+        policy = options.policy if name == options.robot else None
+        chosen = replace(options, robot=name, policy=policy)
+        return load_controlled(chosen, options.controller, "normal")
 
     robot, policy = load(options.robot)
     _check_start(options, grid, robot)

@@ -290,6 +290,7 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         "foot_errors_m": [round(placed.error_m, 4) for placed in navigator.placed],
         "min_clearance_m": navigator.min_clearance_m,
         "gait": None if report.gait is None else asdict(report.gait),
+        "relaxed": navigator.walker.relaxed[0],
         "joined": joined,
         "narrow_place": None if report.narrow_place is None else asdict(report.narrow_place),
         "planning_time_s": report.planning_time_s,
@@ -317,6 +318,7 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "min_clearance_m": min(clearances, default=None),
         "planning_time_s": _percentiles([result["planning_time_s"] for result in results]),
         "gait": _gait(results),
+        "relaxed": dict(sum((Counter(r.get("relaxed", {})) for r in results), Counter())),
         "sim_time_s": sum(result["sim_time_s"] for result in results),
     }
 
@@ -373,6 +375,9 @@ def table(summary: Mapping[str, Any]) -> str:
                 **summary["gait"],
             )
         )
+    if summary["relaxed"]:
+        told = (f"{stage} {count}" for stage, count in summary["relaxed"].items())
+        rows["constraints dropped"] = ", ".join(told).replace("_", " ")
     return "\n".join(f"{title:<24}{value}" for title, value in rows.items())
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,13 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from app.evaluation.beside import beside_rows, has, joint_peaks, names
 from app.evaluation.parts import (
     JOINT_NOISE_WITHSTOOD_DEG,
     TITLE,
     TREAD_NOISE_WITHSTOOD_M,
     Document,
 )
-from app.evaluation.report_text import beside_rows, plain_joint
+from app.evaluation.tables import plain_joint
 from app.output import replacing
 from app.pictures import canvas
 from app.pictures.canvas import hex_of
@@ -29,9 +30,10 @@ CYCLE_TIME = "time in the gait cycle from the right foot's lift-off, s"
 
 
 def write_figures(document: Document, folder: Path) -> None:
-    """Draw every figure whose section was measured."""
+    """Draw every figure whose section was measured, those with `beside` where both have it."""
+    beside = document.get("beside") or {}
     for name, (section, size, draw) in FIGURES.items():
-        if document.get(section):
+        if has(document, section) and (has(beside, section) or not name.startswith("beside")):
             figure = Figure(figsize=size, layout="constrained")
             draw(document, figure)
             with replacing(folder / name) as temporary:
@@ -91,7 +93,7 @@ def _frame(axes: Axes, limits: Document, turn: float) -> None:
 
 
 def draw_beside(document: Document, figure: Figure) -> None:
-    """95th percentiles of both policies' errors in place and heading, for all modes with steps."""
+    """95th percentiles of both controllers' errors in place and heading, of modes with steps."""
     rows = beside_rows(document, "modes", "mode")
     both = [row for row in rows if row["this"]["landings"] and row["other"]["landings"]]
     places = np.arange(len(both))
@@ -101,13 +103,77 @@ def draw_beside(document: Document, figure: Figure) -> None:
         ("heading_deg_p95", 1.0, "heading error, 95th percentile, degrees"),
     )
     for axes, (key, scale, label) in zip(panels, errors, strict=True):
-        for offset, which, colour in ((-0.2, "this", THIS), (0.2, "other", OTHER)):
+        for offset, which, colour, name in _two(document):
             values = [scale * row[which][key] for row in both]
-            axes.barh(places + offset, values, 0.38, color=colour, label=which)
+            axes.barh(places + offset, values, 0.38, color=colour, label=name)
         _plain(axes, "x", xlabel=label, xlim=(0, None))
     panels[0].set_yticks(places, [row["this"]["mode"] for row in both])
     panels[0].invert_yaxis()
     panels[1].legend(frameon=False)
+
+
+def _two(document: Document) -> Iterator[tuple[float, str, str, str]]:
+    """Of this and the other evaluation: place of its bar, key, colour and name."""
+    yield from zip((-0.2, 0.2), ("this", "other"), (THIS, OTHER), names(document), strict=True)
+
+
+def draw_side_by_side(
+    draw: Callable[[Any, Axes], None], section: str
+) -> Callable[[Document, Figure], None]:
+    """Draws a section of both evaluations in panels with the same axes."""
+
+    def drawn(document: Document, figure: Figure) -> None:
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        both = (document, document["beside"])
+        for axes, of, name in zip(panels, both, names(document), strict=True):
+            draw(of[section], axes)
+            axes.set_title(name)
+        panels[1].set_ylabel("")
+
+    return drawn
+
+
+def draw_beside_loads(document: Document, figure: Figure) -> None:
+    """Peak torque and speed of each joint, the greater of both legs, as shares of the limits."""
+    peaks = {"this": document["gait"], "other": document["beside"]["gait"]}
+    joints = {which: joint_peaks(gait["joints"]) for which, gait in peaks.items()}
+    places = np.arange(len(joints["this"]))
+    panels = figure.subplots(1, 2)
+    quantities = (("torque", "torque{}_nm"), ("speed", "speed{}_rad_s"))
+    for axes, (title, quantity) in zip(panels, quantities, strict=True):
+        for offset, which, colour, name in _two(document):
+            peak, limit = "peak_" + quantity.format(""), quantity.format("_limit")
+            share = [100 * row[peak] / row[limit] for row in joints[which]]
+            axes.bar(places + offset, share, 0.38, color=colour, label=name)
+        axes.axhline(100, color=GREY, linestyle=":", linewidth=1)
+        _plain(axes, "y", ylabel=f"peak {title}, % of its limit", ylim=(0, 108))
+        labels = [plain_joint(row["joint"]) for row in joints["this"]]
+        axes.set_xticks(places, labels, rotation=30, ha="right")
+    panels[1].legend(frameon=False)
+
+
+def draw_beside_noise(document: Document, figure: Figure) -> None:
+    """Success on stairs of both over the noise on treads and on joints, up and down together."""
+    rows = beside_rows(document, "stairs", "rise_m", "way", "noise_kind", "noise")
+    rise_m = min(row["this"]["rise_m"] for row in rows) if rows else 0.1
+    panels = figure.subplots(1, 2, sharey=True)
+    kinds = (
+        ("tread", 100.0, "noise on tread height, ± cm"),
+        ("joint", 1.0, "on joints, ± degrees"),
+    )
+    for axes, (kind, scale, label) in zip(panels, kinds, strict=True):
+        here = [r for r in rows if r["this"]["noise_kind"] in ("none", kind)]
+        here = [row for row in here if row["this"]["rise_m"] == rise_m]
+        for _, which, colour, name in _two(document):
+            for way, style in (("up", "o-"), ("down", "s--")):
+                of = [row[which] for row in here if row[which]["way"] == way]
+                noise, success = (
+                    [k * r[key] for r in of] for k, key in ((scale, "noise"), (100, "success"))
+                )
+                axes.plot(noise, success, style, color=colour, label=f"{name}, {way}")
+        _plain(axes, xlabel=label, ylim=(0, 104))
+    panels[0].set_ylabel(f"success on {100 * rise_m:g} cm stairs, %")
+    panels[0].legend(frameon=False, fontsize=8, loc="lower left")
 
 
 def _plain(axes: Axes, grid: Literal["x", "y", "both"] = "both", **settings: Any) -> None:
@@ -205,8 +271,10 @@ def draw_loads(document: Document, figure: Figure) -> None:
 
 def draw_forces(document: Document, figure: Figure) -> None:
     """Vertical ground force of both feet over a gait cycle, in robot weights."""
-    gait = document["gait"]
-    axes = figure.subplots()
+    _forces(document["gait"], figure.subplots())
+
+
+def _forces(gait: Document, axes: Axes) -> None:
     time_s = gait["cycle_time_s"]
     for side, (name, colour) in enumerate((("left", LEFT), ("right", RIGHT))):
         mean, low, high = (
@@ -240,9 +308,11 @@ def draw_contact(document: Document, figure: Figure) -> None:
 
 def draw_push(document: Document, figure: Figure) -> None:
     """Success against impulse, in four directions."""
-    axes = figure.subplots()
-    colours = (UP, DOWN, LEFT, RIGHT)
-    for row, colour in zip(document["push"], colours, strict=False):
+    _push(document["push"], figure.subplots())
+
+
+def _push(rows: Sequence[Document], axes: Axes) -> None:
+    for row, colour in zip(rows, (UP, DOWN, LEFT, RIGHT), strict=False):
         success = [100 * share for share in row["success"]]
         axes.plot(row["impulses_ns"], success, "o-", color=colour, label=row["direction"])
     _plain(axes, xlabel="impulse, N s", ylabel="success, %", ylim=(0, 104), xlim=(0, None))
@@ -251,16 +321,46 @@ def draw_push(document: Document, figure: Figure) -> None:
 
 def draw_energy(document: Document, figure: Figure) -> None:
     """Cost of transport over walking speed, a line for each kind of walk."""
-    axes = figure.subplots()
+    _energy(document["energy"], figure.subplots())
+
+
+def _energy(walks: Sequence[Document], axes: Axes) -> None:
     marks = {"forward": ("o-", UP), "backward": ("s-", DOWN), "sideways": ("^-", LEFT)}
     for kind, (mark, colour) in marks.items():
-        rows = [row for row in document["energy"] if row["kind"] == kind and row["speed_m_s"]]
+        rows = [row for row in walks if row["kind"] == kind and row["speed_m_s"]]
         speed = [row["speed_m_s"] for row in rows]
         cost = [row["cost_of_transport"] for row in rows]
         axes.plot(speed, cost, mark, color=colour, label=kind)
     label = "cost of transport E / (m g d)"
     _plain(axes, xlabel="walking speed, m/s", ylabel=label, xlim=(0, None), ylim=(0, None))
     axes.legend(frameon=False)
+
+
+def draw_pace(document: Document, figure: Figure) -> None:
+    """Speed and share of walks without a fall over the duration of a step."""
+    _pace([(document["pace"], UP, "")], figure)
+
+
+def draw_beside_pace(document: Document, figure: Figure) -> None:
+    """The same of both."""
+    this, other = names(document)
+    both = [(document["pace"], THIS, this), (document["beside"]["pace"], OTHER, other)]
+    _pace(both, figure)
+
+
+def _pace(walks: Sequence[tuple[Sequence[Document], str, str]], figure: Figure) -> None:
+    falls, speeds = figure.subplots(1, 2, sharex=True)
+    for rows, colour, name in walks:
+        step_s = [row["step_s"] for row in rows]
+        stayed = [100 * (1 - row["falls"] / row["walks"]) for row in rows]
+        falls.plot(step_s, stayed, "o-", color=colour, label=name)
+        moved = [row for row in rows if row["speed_m_s"] is not None]
+        x, y = ([row[key] for row in moved] for key in ("step_s", "speed_m_s"))
+        speeds.plot(x, y, "o-", color=colour)
+    _plain(falls, xlabel="a step takes, s", ylabel="walks without a fall, %", ylim=(0, 104))
+    _plain(speeds, xlabel="a step takes, s", ylabel="speed, m/s", ylim=(0, None))
+    if len(walks) > 1:
+        falls.legend(frameon=False)
 
 
 # File name: the section that it shows, width and height, and who draws it.
@@ -273,5 +373,12 @@ FIGURES: Mapping[str, tuple[str, tuple[float, float], Callable[[Document, Figure
     "push.png": ("push", (7, 3.6), draw_push),
     "energy.png": ("energy", (7, 3.6), draw_energy),
     "limits.png": ("limits", (9, 4.6), draw_limits),
-    "beside.png": ("beside", (9, 4), draw_beside),
+    "pace.png": ("pace", (7, 3.4), draw_pace),
+    "beside.png": ("modes", (9, 4), draw_beside),
+    "beside_forces.png": ("gait", (9, 3.4), draw_side_by_side(_forces, "gait")),
+    "beside_loads.png": ("gait", (9, 3.8), draw_beside_loads),
+    "beside_noise.png": ("stairs", (9, 3.6), draw_beside_noise),
+    "beside_push.png": ("push", (9, 3.6), draw_side_by_side(_push, "push")),
+    "beside_energy.png": ("energy", (9, 3.6), draw_side_by_side(_energy, "energy")),
+    "beside_pace.png": ("pace", (7, 3.4), draw_beside_pace),
 }

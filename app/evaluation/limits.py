@@ -49,7 +49,7 @@ def limits_parts(setup: EvaluationSetup) -> list[Part]:
     each, planned = setup.share(40), min(setup.share(8), 125)
 
     def measure_map(results: Results) -> dict[str, Any]:
-        cells = step_map(robot, setup.policy, kinds, **setup.draws(each))
+        cells = step_map(robot, setup.controller, kinds, **setup.draws(each))
         return {"walks_each": each, "kinds": cells}
 
     def measure_region(results: Results) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def limits_parts(setup: EvaluationSetup) -> list[Part]:
             model = replace(robot.step_model, limits=limits, steps=steps)
             walks, trial = walk_within(
                 robot,
-                setup.policy,
+                setup.controller,
                 limits,
                 lambda steps: allowed(steps, model),
                 **setup.draws(setup.episodes),
@@ -131,7 +131,7 @@ def _sway_m(setup: EvaluationSetup, limits: StepLimits, count: int) -> dict[str,
     reach = BodySway(walker.scene, model.body)
     beyond = []
     stances = walker.cursor.stances
-    for tick in walk(walker, setup.policy, round(PLANNED_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, setup.controller, round(PLANNED_S / CONTROL_PERIOD_S)):
         if tick.number % REACH_EVERY_TICKS == 0:
             rows = np.flatnonzero(tick.upright)
             beyond += [reach.beyond_m(walker.sim.qpos[row], stances[row]) for row in rows]
@@ -153,7 +153,7 @@ def measured_of(setup: EvaluationSetup, results: Results) -> TrackingLimits | No
     *_, (shape, (_, most_m)) = sway["body_beyond_box_m"].items()
     return TrackingLimits(
         robot=setup.robot.name,
-        policy_sha256=setup.policy.about["sha256"],
+        policy_sha256=setup.who["policy_sha256"] or "",
         limits=replace(limits, z_m=climb_m),
         foot_margin_m=_millimetres_up(region["sole_error_m_p99"]),
         body_margin_m=_millimetres_up(max(most_m, 0.0)),

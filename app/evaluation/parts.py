@@ -1,6 +1,6 @@
 """The parts of an evaluation: each is measured on its own and kept as a file of its own.
 
-A cut-off run keeps the parts that are done, and a later run with the same policy, seed and
+A cut-off run keeps the parts that are done, and a later run with the same controller, seed and
 episodes takes them up.
 """
 
@@ -16,7 +16,9 @@ from typing import Any
 import mujoco
 
 from app.output import make_folder, to_json, write_text
+from controller.lipm.servos import report_of
 from controller.policy import Policy
+from controller.walker import Controller
 from maps.files import from_json
 from sim.robot import Robot
 
@@ -30,10 +32,22 @@ class EvaluationSetup:
     """Who is measured, and how much. The results do not depend on `threads`."""
 
     robot: Robot
-    policy: Policy
+    controller: Controller
     episodes: int
     seed: int
     threads: int = os.cpu_count() or 1
+
+    @property
+    def who(self) -> dict[str, Any]:
+        """What tells the controller from all others."""
+        if isinstance(self.controller, Policy):
+            return {"policy_sha256": self.controller.about["sha256"]}
+        return {"policy_sha256": None, "controller": report_of(self.robot)}
+
+    @property
+    def trained(self) -> Any:
+        """What a policy says of its training."""
+        return self.controller.about.get("trained") if isinstance(self.controller, Policy) else None
 
     def share(self, divisor: int) -> int:
         """A part of the episodes, at least one."""
@@ -70,7 +84,7 @@ class ResultCache:
         # What a result depends on, besides the code.
         settings = {
             "robot": setup.robot.name,
-            "policy_sha256": setup.policy.about["sha256"],
+            **setup.who,
             "episodes": setup.episodes,
             "seed": setup.seed,
             "mujoco": mujoco.__version__,

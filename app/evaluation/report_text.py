@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from app.evaluation.beside import beside, who
 from app.evaluation.parts import (
     HIT_RADIUS_M,
     JOINT_NOISE_WITHSTOOD_DEG,
@@ -15,20 +15,17 @@ from app.evaluation.parts import (
     TREAD_NOISE_WITHSTOOD_M,
     Document,
 )
+from app.evaluation.tables import (
+    HEADING,
+    CellText,
+    number,
+    paragraphs,
+    plain_joint,
+    shown,
+    spread_of,
+    table,
+)
 from controller.evaluation.gait_metrics import asymmetry
-
-CellText = Callable[[Document], str]  # of a row
-
-
-def plain_joint(name: str) -> str:
-    """A left joint's name in words: L_HIP_P, left_hip_pitch_joint and LCP all give hip pitch."""
-    bare = re.sub(r"^(left|l)_?|_joint$", "", name.lower())
-    bare = re.sub(r"^([cka])([ypr])$", r"\1_\2", bare)
-    words = [_JOINT_WORDS.get(word, word) for word in bare.split("_")]
-    return "knee" if words[0] == "knee" else " ".join(words)
-
-
-_JOINT_WORDS = {"c": "hip", "k": "knee", "a": "ankle", "y": "yaw", "p": "pitch", "r": "roll"}
 
 
 def report(document: Document) -> str:
@@ -36,9 +33,9 @@ def report(document: Document) -> str:
     lines = [
         f"# How well {document['robot']} follows its steps",
         "",
-        f"Policy {document['policy_sha256'][:12]}, evaluated with seed {document['seed']} and "
+        f"{who(document).capitalize()}, evaluated with seed {document['seed']} and "
         f"{document['episodes']} episodes (fewer where a section says so), physics at 1 kHz, "
-        "policy without exploration noise, episodes that training never sees. The numbers are in "
+        "without exploration noise, episodes that training never sees. The numbers are in "
         f"`evaluation.json`. The paper is {TITLE}; where none of its numbers stands beside ours, "
         "it has none or none was at hand.",
         "",
@@ -47,49 +44,6 @@ def report(document: Document) -> str:
         if document.get(key):
             lines += [*told(document), ""]
     return "\n".join(lines)
-
-
-def table(rows: Sequence[Document], *columns: tuple[str, str | CellText]) -> list[str]:
-    """A Markdown table; a column is its title, and a format or a function of a row's fields."""
-    cells = [
-        [cell.format_map(row) if isinstance(cell, str) else cell(row) for _, cell in columns]
-        for row in rows
-    ]
-    head, *lines = (
-        "| " + " | ".join(line) + " |" for line in ([title for title, _ in columns], *cells)
-    )
-    return [head, "|" + "---|" * len(columns), *lines]
-
-
-def paragraphs(*parts: str | Sequence[str]) -> list[str]:
-    """The lines of a section: parts of one line or several, with a blank line between."""
-    lines: list[str] = []
-    for part in parts:
-        lines += ["", part] if isinstance(part, str) else ["", *part]
-    return lines[1:]
-
-
-def _shown(value: float | None, form: str, scale: float = 1.0) -> str:
-    """A number that may not be known."""
-    return "-" if value is None else form.format(scale * value)
-
-
-def _number(name: str, form: str, scale: float = 1.0) -> CellText:
-    return lambda row: _shown(row[name], form, scale)
-
-
-def _spread(name: str, scale: float = 100.0, unit: str = " cm") -> CellText:
-    """Median and 95th percentile, by default of lengths in metres."""
-
-    def spread(row: Document) -> str:
-        if row[f"{name}median"] is None:
-            return "-"
-        return f"{scale * row[f'{name}median']:.1f} / {scale * row[f'{name}p95']:.1f}{unit}"
-
-    return spread
-
-
-_HEADING = _spread("heading_deg_", 1.0, "°")
 
 
 def _modes(document: Document) -> list[str]:
@@ -105,11 +59,11 @@ def _modes(document: Document) -> list[str]:
             ("episodes", "{episodes}"),
             ("falls", "{falls}"),
             ("steps", "{landings}"),
-            ("foot error, median / p95", _spread("error_m_")),
-            ("p99", _number("error_m_p99", "{:.1f} cm", 100)),
-            ("along, median / p95", _spread("along_m_")),
-            ("across, median / p95", _spread("across_m_")),
-            ("heading, median / p95", _HEADING),
+            ("foot error, median / p95", spread_of("error_m_")),
+            ("p99", number("error_m_p99", "{:.1f} cm", 100)),
+            ("along, median / p95", spread_of("along_m_")),
+            ("across, median / p95", spread_of("across_m_")),
+            ("heading, median / p95", HEADING),
         ),
         "![Share of steps within a distance](errors.png)",
     )
@@ -149,7 +103,7 @@ def _stairs(document: Document) -> list[str]:
         "velocities.",
         table(
             [cases[case] for case in sorted(cases)],
-            ("rise", _number("rise_m", "{:g} cm", 100)),
+            ("rise", number("rise_m", "{:g} cm", 100)),
             ("noise", noise),
             ("episodes", "{episodes}"),
             ("up: success, length", "{up}"),
@@ -212,9 +166,9 @@ def _gait(document: Document) -> list[str]:
         "(left {:.2f}, right {:.2f}).".format(*gait["force_peak"]),
         "![Vertical ground force over the gait](forces.png)",
         "Contact is what the phase indicator asks for during "
-        f"{_shown(gait['contact_agreement'], '{:.1f} %', 100)} of the time outside its ramps; feet "
-        f"lift off {_shown(gait['lift_off_lag_s'], '{:.0f} ms', 1000)} after the clock and touch "
-        f"down {_shown(gait['touch_down_lag_s'], '{:.0f} ms', 1000)} after it (medians; less than "
+        f"{shown(gait['contact_agreement'], '{:.1f} %', 100)} of the time outside its ramps; feet "
+        f"lift off {shown(gait['lift_off_lag_s'], '{:.0f} ms', 1000)} after the clock and touch "
+        f"down {shown(gait['touch_down_lag_s'], '{:.0f} ms', 1000)} after it (medians; less than "
         "0 is early).",
         "![Phase indicator and contact](contact.png)",
     )
@@ -222,7 +176,7 @@ def _gait(document: Document) -> list[str]:
 
 def _walk_figures(gait: Document) -> list[str]:
     """How as many walks looked that also came to a stand; the names are those of report.json."""
-    jerk = f"Joint jerk: {_shown(gait['joint_jerk_rad_s3'], '{:.0f} rad/s³')} (root mean square)."
+    jerk = f"Joint jerk: {shown(gait['joint_jerk_rad_s3'], '{:.0f} rad/s³')} (root mean square)."
     walk = gait["walk"]
     if walk is None:
         return [jerk]
@@ -232,16 +186,16 @@ def _walk_figures(gait: Document) -> list[str]:
         "pelvis over the lower sole, median / least": (
             f"{height['median']:.3f} / {height['least']:.3f} m"
         ),
-        f"the same at rest (half-sitting: {gait['pelvis_standing_m']:.3f} m)": _shown(
+        f"the same at rest (half-sitting: {gait['pelvis_standing_m']:.3f} m)": shown(
             height["at_rest"], "{:.3f} m"
         ),
         "bob of the pelvis in a step, median": f"{100 * walk['pelvis_bob_m']:.1f} cm",
-        "swing apex, median / 95th percentile": _spread("")(walk["swing_apex_m"]),
+        "swing apex, median / 95th percentile": spread_of("")(walk["swing_apex_m"]),
         "sole's speed down, last 25 ms before contact, median / 95th percentile": (
-            f"{_shown(touchdown['median'], '{:.2f}')} / {_shown(touchdown['p95'], '{:.2f}')} m/s"
+            f"{shown(touchdown['median'], '{:.2f}')} / {shown(touchdown['p95'], '{:.2f}')} m/s"
         ),
         "peak force of one foot": f"{walk['peak_force_weights']:.2f} weights",
-        "cost of transport": _shown(walk["cost_of_transport"], "{:.2f}"),
+        "cost of transport": shown(walk["cost_of_transport"], "{:.2f}"),
         "speed": f"{walk['speed_m_s']:.2f} m/s",
     }
     rows = [{"name": name, "value": value} for name, value in figures.items()]
@@ -310,11 +264,26 @@ def _energy(document: Document) -> list[str]:
             document["energy"],
             ("walk", "{kind}"),
             ("step", length),
-            ("speed", _number("speed_m_s", "{:.2f} m/s")),
-            ("mechanical power", _number("power_w", "{:.0f} W")),
-            ("cost of transport", _number("cost_of_transport", "{:.2f}")),
+            ("speed", number("speed_m_s", "{:.2f} m/s")),
+            ("mechanical power", number("power_w", "{:.0f} W")),
+            ("cost of transport", number("cost_of_transport", "{:.2f}")),
         ),
         "![Cost of transport over speed](energy.png)",
+    )
+
+
+def _pace(document: Document) -> list[str]:
+    return paragraphs(
+        "## Pace",
+        f"{document['pace'][0]['walks']} walks of 10 s straight forward for each duration of a "
+        "step, all with the longest step; the first is the robot's own gait.",
+        table(
+            document["pace"],
+            ("a step takes", "{step_s:g} s"),
+            ("falls", "{falls} of {walks}"),
+            ("speed", number("speed_m_s", "{:.2f} m/s")),
+        ),
+        "![Falls and speed by the duration of a step](pace.png)",
     )
 
 
@@ -362,60 +331,10 @@ def _limits(document: Document) -> list[str]:
             ("forward, cm", ends("x_m", 100)),
             ("sideways, cm", ends("y_m", 100)),
             ("turn, degrees", ends("yaw_rad", math.degrees(1))),
-            ("success", _number("success", "{:.1f} %", 100)),
+            ("success", number("success", "{:.1f} %", 100)),
         ),
         *told,
     )
-
-
-def beside_rows(document: Document, section: str, *keys: str) -> list[dict[str, Any]]:
-    """Rows that both evaluations have, as `this` and `other`: those that agree in these fields."""
-
-    def rows(of: Document) -> dict[tuple[Any, ...], Document]:
-        plain = (row for row in of.get(section, []) if row.get("noise_kind", "none") == "none")
-        return {tuple(row[key] for key in keys): row for row in plain}
-
-    this, other = rows(document), rows(document["beside"])
-    return [{"this": this[key], "other": other[key]} for key in this if key in other]
-
-
-def _beside(document: Document) -> list[str]:
-    """Another policy of the same robot beside the one measured, such as one of another reward."""
-    other = document["beside"]
-
-    def both(this: str, theirs: str, cell: CellText) -> list[tuple[str, CellText]]:
-        return [(this, lambda row: cell(row["this"])), (theirs, lambda row: cell(row["other"]))]
-
-    def success(row: Document) -> str:
-        return f"{100 * row['success']:.1f} % of {row['episodes']}"
-
-    stairs = table(
-        beside_rows(document, "stairs", "rise_m", "way"),
-        ("stairs", lambda row: "{:g} cm {way}".format(100 * row["this"]["rise_m"], **row["this"])),
-        *both("success, this", "success, other", success),
-    )
-    return paragraphs(
-        "## Beside another policy",
-        f"The other is {other['policy_sha256'][:12]}, evaluated with seed {other['seed']}.",
-        [f"- This: {_made(document)}.", f"- Other: {_made(other)}."],
-        table(
-            beside_rows(document, "modes", "mode"),
-            ("mode", "{this[mode]}"),
-            *both("falls, this", "falls, other", "{falls} of {episodes}".format_map),
-            *both("foot error, this, median / p95", "foot error, other", _spread("error_m_")),
-            *both("heading, this, median / p95", "heading, other", _HEADING),
-        ),
-        "![Both policies, mode by mode](beside.png)",
-        *([stairs] if len(stairs) > 2 else []),
-    )
-
-
-def _made(document: Document) -> str:
-    """The command that trained a policy and how long it had learned, as far as it says."""
-    trained = document.get("trained") or {}
-    if "command" not in trained:
-        return "its file does not say how it was trained"
-    return f"`{trained['command']}`, the checkpoint at {trained['samples']:,} samples"
 
 
 _SECTIONS: Mapping[str, Callable[[Document], list[str]]] = {
@@ -424,7 +343,8 @@ _SECTIONS: Mapping[str, Callable[[Document], list[str]]] = {
     "gait": _gait,
     "push": _push,
     "energy": _energy,
+    "pace": _pace,
     "long": _long,
     "limits": _limits,
-    "beside": _beside,
+    "beside": beside,
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -17,6 +17,7 @@ from controller.evaluation.push_recovery import DIRECTIONS, PUSH_WALK_S, push_re
 from controller.evaluation.rollouts import AT_ONCE, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.step_sequences import MODES, clip_to_limits, draw_sequence
+from sim.robot import GaitTiming
 
 EPISODE_S = 10.0
 LONG_WALK_S = 60.0
@@ -25,6 +26,7 @@ TREAD_NOISE_M = (0.01, 0.02, 0.03, 0.04, 0.05, 0.06)
 JOINT_NOISE_DEG = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 RECORDED = 16
 CYCLE_BINS = 110
+QUICK_STEPS_S = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 # Pushes by what they change of the robot's speed, so that heavy robots are pushed harder.
 PUSH_SPEEDS_M_S = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6)
 
@@ -53,7 +55,7 @@ def _assess(
         [
             assess_mode(
                 setup.robot,
-                setup.policy,
+                setup.controller,
                 mode,
                 episodes=min(AT_ONCE, episodes - first),
                 seed=setup.seed + 1000 * number,
@@ -134,7 +136,7 @@ def long_parts(setup: EvaluationSetup) -> list[Part]:
             settings = setup.draws(len(rows)) | {"seed": seed}
             walker = start_walks(setup.robot, draw, **settings)
             lasted = np.zeros(len(rows), dtype=np.int64)
-            for tick in walk(walker, setup.policy, ticks):
+            for tick in walk(walker, setup.controller, ticks):
                 lasted += tick.upright
             survived += lasted.tolist()
         falls = sum(lasted < ticks for lasted in survived)
@@ -152,14 +154,14 @@ def gait_parts(setup: EvaluationSetup) -> list[Part]:
     count = min(RECORDED, 2 * setup.episodes)
 
     def measure(results: Results) -> dict[str, Any]:
-        record = metrics.record_walk(robot, setup.policy, step, **setup.draws(count))
+        record = metrics.record_walk(robot, setup.controller, step, **setup.draws(count))
         head = {"step_m": step[0], "walks": count, "falls": int(count - record.upright.sum())}
         if not record.upright.any():
             return head
         whole = record.of_upright()
         ticks = GaitTicks.of(robot.gait)
         steady = whole.steady(ticks)
-        summary = metrics.walk_and_stand(robot, setup.policy, step, **setup.draws(count))
+        summary = metrics.walk_and_stand(robot, setup.controller, step, **setup.draws(count))
         lift_s, touch_s = metrics.swing_lags(steady, robot.mass_kg, ticks)
         cycles = {
             name: metrics.gait_cycle_curves(steady, values, ticks, bins=CYCLE_BINS)
@@ -205,7 +207,7 @@ def energy_parts(setup: EvaluationSetup) -> list[Part]:
     ]
 
     def measure(results: Results, step: metrics.Step, kind: str) -> dict[str, Any]:
-        record = metrics.record_walk(setup.robot, setup.policy, step, **setup.draws(count))
+        record = metrics.record_walk(setup.robot, setup.controller, step, **setup.draws(count))
         falls = int(count - record.upright.sum())
         row = {"kind": kind, "step": list(step), "walks": count, "falls": falls}
         if not record.upright.any():
@@ -230,6 +232,40 @@ def energy_parts(setup: EvaluationSetup) -> list[Part]:
     ]
 
 
+def pace_parts(setup: EvaluationSetup) -> list[Part]:
+    """Falls and speed of straight walks with the longest step, by the duration of a step."""
+    robot, width_m = setup.robot, setup.robot.step_model.stance_width_m
+    step = (robot.step_model.limits.most_x_m(width_m), width_m, 0.0)
+    count = min(RECORDED // 2, 2 * setup.episodes)
+    own_s = robot.gait.step_s
+    quicker_s = [step_s for step_s in QUICK_STEPS_S if step_s < own_s]
+
+    def measure(results: Results, step_s: float) -> dict[str, Any]:
+        ticks = GaitTicks.of(robot.gait).for_durations(np.array(step_s))
+        gait = GaitTiming(
+            single_support_s=float(ticks.swing) * CONTROL_PERIOD_S,
+            double_support_s=float(ticks.double_support) * CONTROL_PERIOD_S,
+        )
+        paced = replace(robot, gait=gait)
+        record = metrics.record_walk(paced, setup.controller, step, **setup.draws(count))
+        falls = int(count - record.upright.sum())
+        row = {"step_s": step_s, "step_m": step[0], "walks": count, "falls": falls}
+        if not record.upright.any():
+            return {**row, "speed_m_s": None}
+        steady = record.of_upright().steady(ticks)
+        way_m = metrics.distance_m(steady)
+        return {**row, "speed_m_s": float(way_m.mean() / metrics.duration_s(steady))}
+
+    return [
+        Part(
+            name=f"pace-{step_s:g}s",
+            robot_seconds=count * metrics.RECORDED_S,
+            measure=partial(measure, step_s=step_s),
+        )
+        for step_s in (own_s, *(quicker_s if setup.controller.is_paced else ()))
+    ]
+
+
 def push_parts(setup: EvaluationSetup) -> list[Part]:
     """Success against impulse, a part for each direction."""
     mass_kg, count = setup.robot.mass_kg, setup.share(10)
@@ -237,7 +273,7 @@ def push_parts(setup: EvaluationSetup) -> list[Part]:
 
     def measure(results: Results, direction: str) -> dict[str, Any]:
         success = push_recovery(
-            setup.robot, setup.policy, direction, impulses_ns, **setup.draws(count)
+            setup.robot, setup.controller, direction, impulses_ns, **setup.draws(count)
         )
         row = {"direction": direction, "walks": count}
         return {**row, "impulses_ns": impulses_ns, "success": success}
@@ -258,6 +294,7 @@ SECTIONS: Mapping[str, Callable[[EvaluationSetup], list[Part]]] = {
     "gait": gait_parts,
     "push": push_parts,
     "energy": energy_parts,
+    "pace": pace_parts,
     "long": long_parts,
     "limits": limits_parts,
 }

@@ -15,7 +15,6 @@ from app.navigation.report import Outcome
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
-from controller.walker import Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
 from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, from_frame, pair_pose
@@ -140,14 +139,9 @@ class LiveNavigator(Navigator):
 
     def set_grid(self, grid: OccupancyGrid, planner: FootstepPlanner) -> None:
         """Goes on in exactly the same state on a changed map, over which that planner plans."""
-        before = self.walker
-        scene = scene_of(grid, self.robot, self.config.planner.unknown_is_free)
-        walker = Walker(scene, threads=1, record=("qvel",))
-        walker.place(0, before.sim.qpos[0], before.sim.qvel[0])
-        walker.cursor, walker.action = before.cursor, before.action
-        walker.sim.sensors[:] = before.sim.sensors
-        self._act = self.policy.start(walker)
-        self.grid, self.scene, self.walker, self._planner = grid, scene, walker, planner
+        self.scene = scene_of(grid, self.robot, self.config.planner.unknown_is_free)
+        self.walker.enter(self.scene)
+        self.grid, self._planner = grid, planner
         self._footing = Footing(grid, self.robot.step_model, self.config.planner.unknown_is_free)
 
     def tick(self) -> None:

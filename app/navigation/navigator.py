@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from app.navigation.report import (
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.evaluation.push_recovery import Push
 from controller.gait import CONTROL_PERIOD_S, step_durations_s
+from controller.lipm.servos import report_of
+from controller.policy import Policy
 from controller.recovery import change_steps, step_change
 from controller.step_cursor import StepSequence
 from controller.walker import Controller, Walker
@@ -186,7 +188,6 @@ class Navigator:
         *,
         map: str = "",
         policy: PolicyFile | None = None,
-        controller: Mapping[str, Any] | None = None,
         compile_time_s: float | None = None,
         wall_time_s: float = 0.0,
     ) -> NavigationReport:
@@ -218,7 +219,9 @@ class Navigator:
             goal=finite_pose(self.goal),
             seed=self.seed,
             policy=policy,
-            controller=controller,
+            controller=None
+            if isinstance(self.policy, Policy)
+            else {**report_of(self.robot), "relaxed": self.walker.relaxed[0]},
             gait=self.gait.summary(),
             narrow_place=self.plans[-1].narrow_place if self.plans else None,
             versions=installed_versions(),

@@ -86,7 +86,7 @@ class NavigationReport:
     distances between the places where feet came to rest and those of their steps.
     `recovery_steps` were moved or hastened against a push. `compile_time_s` is how long plans
     waited for the compiler, which is not part of `planning_time_s`. `controller` tells of one that
-    is no policy: its name, rate and servo gains.
+    is no policy: its name, rate and servo gains, and how often each stage dropped its constraints.
     """
 
     outcome: Outcome

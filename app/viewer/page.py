@@ -37,7 +37,6 @@ from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session, Snapshot
 from controller.observation import pelvis_yaw_rad
-from controller.policy import Policy
 from controller.walker import Controller
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
@@ -77,7 +76,7 @@ class Page:
         session: Session,
         *,
         robots: tuple[str, ...],
-        load: Callable[[str], tuple[Robot, Policy]],
+        load: Callable[[str], tuple[Robot, Controller]],
         maps: Maps | None = None,
     ) -> None:
         self.server, self.session, self._load = server, session, load
@@ -229,7 +228,7 @@ class Page:
         return "no box can stand on the robot" if self.session.is_on_robot(obstacle) else ""
 
     def _set_robot(self, name: str) -> None:
-        """Exchanges the robot; one without a policy is refused."""
+        """Exchanges the robot; one that nothing can walk is refused."""
         try:
             robot, policy = self._load(name)
             meshes = robot_meshes_of(robot)
@@ -261,7 +260,7 @@ def open_page(
     goal: Sequence[float] | None = None,
     options: PlannerOptions | None = None,
     seed: int = 0,
-    load: Callable[[str], tuple[Robot, Policy]] = load_walker,
+    load: Callable[[str], tuple[Robot, Controller]] = load_walker,
     maps: Maps | None = None,
 ) -> Iterator[Page]:
     """A page about one robot on one map; on leaving, robot, planner and server end.

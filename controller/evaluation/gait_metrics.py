@@ -18,8 +18,7 @@ from controller.evaluation.gait_summary import (
 )
 from controller.evaluation.rollouts import LONGEST_WAIT_TICKS, chained, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
-from controller.policy import Policy
-from controller.walker import Walker
+from controller.walker import Controller, Walker
 from planner.robot_model import Side
 from sim.robot import GRAVITY_M_S2, Robot
 
@@ -74,7 +73,7 @@ _PER_ROBOT = (*_PER_PHYSICS_STEP, *_PER_CONTROL_STEP, "upright")
 
 def record_walk(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     step: Step,
     *,
     count: int,
@@ -94,7 +93,7 @@ def record_walk(
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
     torque, speed, force, indicator, cycle_tick, pelvis = [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
-    for tick in walk(walker, policy, round(RECORDED_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, controller, round(RECORDED_S / CONTROL_PERIOD_S)):
         read = walker.sim.sensors
         torque.append(read[:, :, sensors.joint_torque])
         force.append(read[:, :, sensors.ground_force_world[:, 2]])
@@ -117,7 +116,7 @@ def record_walk(
 
 def walk_and_stand(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     step: Step,
     *,
     count: int,
@@ -139,7 +138,7 @@ def walk_and_stand(
     recorders = [GaitRecorder(walker, row) for row in range(count)]
     upright, cursor = np.ones(count, dtype=bool), walker.cursor
     sides, walking = cursor.side.copy(), ~cursor.standing
-    for tick in walk(walker, policy, round(longest_s / CONTROL_PERIOD_S)):
+    for tick in walk(walker, controller, round(longest_s / CONTROL_PERIOD_S)):
         upright = tick.upright
         for row in np.flatnonzero(upright):
             recorders[row].ticked(

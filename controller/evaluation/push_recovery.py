@@ -10,9 +10,9 @@ import numpy as np
 
 from controller.evaluation.rollouts import chained, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
-from controller.policy import Policy
 from controller.recovery import SHORTEST_SWING_S, change_steps, step_change
 from controller.step_cursor import StepSequence
+from controller.walker import Controller
 from sim.robot import Robot
 
 # In the frame of the walk: x forward, y left.
@@ -54,7 +54,7 @@ class Push:
 
 def push_recovery(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     direction: str,
     impulses_ns: Sequence[float],
     *,
@@ -82,14 +82,14 @@ def push_recovery(
     stayed = []
     for rows, part_seed in portions(len(pushes), seed):
         part = [pushes[row] for row in rows]
-        stayed.append(_walk_pushed(robot, policy, part, part_seed, threads, moves_steps))
+        stayed.append(_walk_pushed(robot, controller, part, part_seed, threads, moves_steps))
     shares = np.concatenate(stayed).reshape(len(impulses_ns), count).mean(axis=1)
     return [float(share) for share in shares]
 
 
 def _walk_pushed(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     pushes: Sequence[Push],
     seed: np.random.SeedSequence,
     threads: int,
@@ -108,7 +108,7 @@ def _walk_pushed(
     walker = start_walks(robot, draw, count=len(pushes), seed=seed, threads=threads)
     still = (0.0, 0.0, 0.0)
     upright = np.ones(len(pushes), dtype=bool)
-    for tick in walk(walker, policy, round(PUSH_WALK_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, controller, round(PUSH_WALK_S / CONTROL_PERIOD_S)):
         upright, coming = tick.upright, tick.number + 1
         forces = [push.force_world_n if push.acts(coming) else still for push in pushes]
         walker.sim.push(np.array(forces))

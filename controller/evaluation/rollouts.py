@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from controller.policy import Policy
 from controller.step_cursor import StepSequence
 from controller.step_sequences import chain_steps
-from controller.walker import Walker
+from controller.walker import Controller, Walker
 from planner.robot_model import Side
 from sim.robot import Robot
 from sim.scene import build_scene
@@ -76,16 +75,16 @@ def start_walks(
     return walker
 
 
-def walk(walker: Walker, policy: Policy, ticks: int) -> Iterator[ControlStep]:
+def walk(walker: Walker, controller: Controller, ticks: int) -> Iterator[ControlStep]:
     """Run `ticks` control steps and yield the results of each."""
     rows = np.arange(walker.sim.count)
     upright = np.ones(len(rows), dtype=bool)
-    cursor = walker.cursor
+    cursor, act = walker.cursor, controller.start(walker)
     for number in range(ticks):
         side, entry, standing = cursor.side, cursor.entry.copy(), cursor.standing.copy()
         cycle_tick = np.where(standing, -1, cursor.tick + cursor.ticks.step * (1 - side))
         asked, indicator = cursor.foot_targets[rows, side], cursor.support_indicator
-        ended = walker.act(policy.act(walker.observe()))
+        ended = act()
         down = upright & walker.fallen()
         upright = upright & ~down
         yield ControlStep(

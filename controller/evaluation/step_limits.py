@@ -1,4 +1,4 @@
-"""Step limits of a policy: success per kind of step, widest limits it keeps, and body sway.
+"""Step limits of a controller: success per kind of step, widest limits it keeps, and body sway.
 
 Walks are 10 s long. Steps are (x_m, y_m, yaw_rad) in the support foot's frame, y and yaw outward.
 """
@@ -14,9 +14,9 @@ import numpy as np
 
 from controller.evaluation.rollouts import chained, portions, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
-from controller.policy import Policy
 from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import clip_to_limits
+from controller.walker import Controller
 from planner.plan import pair_pose, wrap_angle
 from planner.robot_model import BodyShape, StepLimits, StepModel
 from sim.robot import PHYSICS_GROUP, Robot
@@ -122,7 +122,7 @@ class StepWalks:
 
 def walk_steps(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     draw_steps: DrawSteps,
     *,
     count: int,
@@ -136,7 +136,7 @@ def walk_steps(
     """
     parts: list[StepWalks] = []
     for rows, part_seed in portions(count, seed):
-        parts.append(_walk_portion(robot, policy, draw_steps, rows, part_seed, threads))
+        parts.append(_walk_portion(robot, controller, draw_steps, rows, part_seed, threads))
         falls = sum(int((~part.upright).sum()) for part in parts)
         if falls_at_most is not None and falls > falls_at_most:
             break
@@ -146,7 +146,7 @@ def walk_steps(
 
 def _walk_portion(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     draw_steps: DrawSteps,
     rows: range,
     seed: np.random.SeedSequence,
@@ -162,7 +162,7 @@ def _walk_portion(
     walker = start_walks(robot, draw, count=len(rows), seed=seed, threads=threads)
     upright = np.ones(len(rows), dtype=bool)
     who, error_m, heading = [], [], []
-    for tick in walk(walker, policy, round(LIMITS_WALK_S / CONTROL_PERIOD_S)):
+    for tick in walk(walker, controller, round(LIMITS_WALK_S / CONTROL_PERIOD_S)):
         upright = tick.upright
         landed = np.flatnonzero(tick.landed)
         landed = landed[counting[landed, tick.entry[landed] - STANCE]]
@@ -180,7 +180,7 @@ def _walk_portion(
 
 def step_map(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     kinds: np.ndarray,
     *,
     count: int,
@@ -200,7 +200,9 @@ def step_map(
         relative[this] = kinds[row // count]
         return relative, this
 
-    walks = walk_steps(robot, policy, draw, count=len(kinds) * count, seed=seed, threads=threads)
+    walks = walk_steps(
+        robot, controller, draw, count=len(kinds) * count, seed=seed, threads=threads
+    )
     success = walks.upright.reshape(len(kinds), count).mean(axis=1)
     found: list[dict[str, float | None]] = []
     for k, kind in enumerate(kinds):
@@ -219,7 +221,7 @@ def step_map(
 
 def walk_within(
     robot: Robot,
-    policy: Policy,
+    controller: Controller,
     limits: StepLimits,
     possible: IsFeasible,
     *,
@@ -257,7 +259,7 @@ def walk_within(
 
     walks = walk_steps(
         robot,
-        policy,
+        controller,
         draw,
         count=count,
         seed=seed,

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from controller.lipm.stabilizer import cross_matrix
+
 # rad/s per N m of moment and m/s per N of difference of forces, with their limits.
 DAMPING, DAMPING_LIMIT_RAD_S = 0.01, 0.2
 DIFFERENCE, DIFFERENCE_LIMIT_M_S = 1e-4, 0.05
@@ -64,7 +66,7 @@ def sole_wrench(
     force_world: np.ndarray, pressure_world: np.ndarray, sole: np.ndarray, rotation: np.ndarray
 ) -> np.ndarray:
     """Wrench (6,) about a sole's middle (3,), in its axes (3, 3), of a force at a point."""
-    moment = np.cross(pressure_world - sole, force_world)
+    moment = cross_matrix(pressure_world - sole) @ force_world
     return np.concatenate([rotation.T @ force_world, rotation.T @ moment])
 
 

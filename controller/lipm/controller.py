@@ -20,16 +20,17 @@ from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, StageF
 from controller.lipm.servos import joint_targets, require_pace
 from controller.lipm.stabilizer import DcmFeedback, ForceDistribution
 from controller.lipm.swing_foot import SwingFoot, has_landed, swing_over
-from controller.lipm.whole_body import BodyTargets, WholeBody
+from controller.lipm.whole_body import BodyTargets, WholeBody, lowered_m
+from controller.observation import places, policy_fields
 from controller.step_cursor import UpcomingSteps
 from controller.walker import Walker
 from planner.plan import pair_pose, wrap_angle
 from sim.robot import GRAVITY_M_S2, Robot
+from sim.scene import PHYSICS_TIMESTEP_S, Scene, build_scene
 
 PARTS = 5
-# The centre of mass walks this much below half-sitting, so that a long step leaves the knee bent,
-# and rises and sinks no faster than this.
-LOWERED_M, SINK_M_S = 0.04, 0.15
+# The centre of mass rises and sinks no faster than this.
+SINK_M_S = 0.15
 PART_S = CONTROL_PERIOD_S / PARTS
 REPLAN_PARTS = round(SAMPLE_S / PART_S)
 
@@ -37,12 +38,12 @@ REPLAN_PARTS = round(SAMPLE_S / PART_S)
 class RobotControl:
     """The controller of robot `row` of a walker."""
 
-    def __init__(self, walker: Walker, row: int):
+    def __init__(self, walker: Walker, row: int, scene: Scene, below_m: float):
         self._walker, self._row, robot = walker, row, walker.robot
-        self._body = WholeBody(robot)
-        model = self._body.scene.model
+        self._body = WholeBody(scene)
+        model = scene.model
         self._data = mujoco.MjData(model)
-        self._height_m = self._body.com[2] - LOWERED_M
+        self._height_m = self._body.com[2] - below_m
         foot = robot.step_model.foot
         half_sole_m = np.array([foot.length_m, foot.width_m]) / 2
         self._pattern = PatternGenerator(self._height_m, half_sole_m)
@@ -50,14 +51,25 @@ class RobotControl:
         self._distribution = ForceDistribution(half_sole_m)
         self._pelvis = model.body("pelvis").id
         self._sites = [model.site(f"{side}_sole").id for side in ("left", "right")]
+        self._observed = places(policy_fields(robot))
         self._mass_kg = float(model.body_subtreemass[self._pelvis])
         self._placed = -1
         self._swing: SwingFoot | None = None
         self._swing_side = 0
         self._landed = False
 
+    @property
+    def relaxed(self) -> dict[str, int]:
+        """How often each stage dropped its constraints since the robot was placed."""
+        return {
+            "pattern": self._pattern.relaxed,
+            "distribution": self._distribution.relaxed,
+            "inverse_kinematics": self._body.relaxed,
+        }
+
     def _place(self) -> None:
         """Begin anew where the robot stands."""
+        self._pattern.relaxed = self._distribution.relaxed = self._body.relaxed = 0
         scene, body = self._body.scene, self._body
         soles = self._measured_soles()
         feet = soles.copy()
@@ -77,9 +89,12 @@ class RobotControl:
         self._jerk = np.zeros((1, 2))
         self._count = 0
 
-    def _measure(self) -> None:
+    def _measure(self, sensed: np.ndarray) -> None:
         model, data, sim = self._body.scene.model, self._data, self._walker.sim
         data.qpos[:], data.qvel[:] = sim.qpos[self._row], sim.qvel[self._row]
+        scene, observed = self._walker.scene, self._observed
+        data.qpos[scene.joint_qpos] = sensed[observed["joint_pos_rad"]]
+        data.qvel[scene.joint_qvel] = sensed[observed["joint_vel_rad_s"]]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
@@ -91,9 +106,9 @@ class RobotControl:
         yaw = np.arctan2(x_axes[:, 3], x_axes[:, 0])
         return np.column_stack([data.site_xpos[self._sites], yaw])
 
-    def targets(self, latest: np.ndarray, part: int) -> np.ndarray:
-        """Joint targets (J,) for the next 5 ms."""
-        self._measure()
+    def targets(self, latest: np.ndarray, sensed: np.ndarray, part: int) -> np.ndarray:
+        """Joint targets (J,) for the next 5 ms, by the sensors and the policy's observation."""
+        self._measure(sensed)
         if self._placed != self._walker.placed[self._row]:
             self._placed = self._walker.placed[self._row]
             self._place()
@@ -125,7 +140,7 @@ class RobotControl:
             sole = data.site_xpos[self._sites[side]]
             if force[side, 2] > 1.0:
                 measured[side] = sole_wrench(force[side], pressure[side], sole, rotations[side])
-            wanted[side] = np.kron(np.eye(2), rotations[side].T) @ wrenches[side]
+            wanted[side] = (wrenches[side].reshape(2, 3) @ rotations[side]).ravel()
         self._admittance.follow(wanted, measured, self._standing(), PART_S)
 
     def _joint_targets(self, wrenches: np.ndarray) -> np.ndarray:
@@ -254,21 +269,25 @@ class LipmController:
 
         A robot of which a stage fails keeps its last joint targets; `walker.failures` says why.
         """
-        rows = [RobotControl(walker, row) for row in range(walker.sim.count)]
+        # The model of all rows: the robot on a bare floor, whatever there is around the walker's.
+        scene = build_scene(walker.robot, timestep_s=PHYSICS_TIMESTEP_S)
+        below_m = lowered_m(scene)
+        rows = [RobotControl(walker, row, scene, below_m) for row in range(walker.sim.count)]
         sent = np.tile(walker.robot.half_sitting_rad, (len(rows), 1))
 
         def tick() -> np.ndarray:
             parts = iter(range(PARTS))
 
             def targets(latest: np.ndarray) -> np.ndarray:
-                part = next(parts)
+                part, sensed = next(parts), walker.noise(walker.observe())
                 for row, control in enumerate(rows):
                     if walker.failures[row]:
                         continue
                     try:
-                        sent[row] = control.targets(latest[row], part)
+                        sent[row] = control.targets(latest[row], sensed[row], part)
                     except StageFailed as failure:
                         walker.failures[row] = str(failure)
+                    walker.relaxed[row] = control.relaxed
                 return sent
 
             return walker.act_in_parts(PARTS, targets)

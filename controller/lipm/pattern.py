@@ -147,6 +147,7 @@ class PatternGenerator:
         self._end_forced = np.stack([zmp @ forced[-1], dcm @ forced[-1]])
         axis = JERK_WEIGHT * np.eye(n) + ZMP_WEIGHT * self._zmp_forced.T @ self._zmp_forced
         self._cost = np.kron(np.eye(2), axis)
+        self._equations = np.kron(np.eye(2), self._end_forced)
 
     def solve(self, pendulum: Pendulum, phases: Sequence[Phase]) -> np.ndarray:
         """The jerk (SAMPLES, 2) over the horizon.
@@ -161,14 +162,14 @@ class PatternGenerator:
         free_zmp = self._zmp_free @ state
         slope = ZMP_WEIGHT * (self._zmp_forced.T @ (free_zmp - reference)).T.ravel()
         end = np.vstack([reference[-1], reference[-1]]) - self._end_free @ state
-        equations = np.kron(np.eye(2), self._end_forced)
+        equations = self._equations
         rows, middle = [], []
         for k, phase in enumerate(at):
             if phase.sole is None:
                 continue
             yaw = phase.sole[3]
             turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-            rows.append(np.kron(turn, self._zmp_forced[k]))
+            rows.append((turn[:, :, None] * self._zmp_forced[k]).reshape(2, -1))
             middle.append(turn @ (phase.sole[:2] - free_zmp[k]))
         inside = np.vstack(rows) if rows else np.zeros((0, 2 * SAMPLES))
         centre = np.concatenate(middle) if middle else np.zeros(0)

@@ -90,7 +90,13 @@ class ForceDistribution:
     """Shares a net wrench out between the soles that stand."""
 
     def __init__(self, half_sole_m: np.ndarray):
-        self._cone = wrench_cone(PRESSURE_SHARE * half_sole_m)
+        cone = np.vstack([wrench_cone(PRESSURE_SHARE * half_sole_m), [0, 0, -1, 0, 0, 0]])
+        bound = np.array([*np.zeros(len(cone) - 1), -LEAST_FORCE_N])
+        # Of two feet; one has the first half of each.
+        self._bounds = np.kron(np.eye(2), cone)
+        self._upper = np.tile(bound, 2)
+        moments = np.array([0, 0, 0, MOMENT_WEIGHT, MOMENT_WEIGHT, 0])
+        self._least_cost = np.diag(np.tile(moments + 1e-3, 2))
         self.relaxed = 0
 
     def share(
@@ -119,32 +125,20 @@ class ForceDistribution:
         force = mass_kg * (acceleration + np.array([0, 0, GRAVITY_M_S2]))
         wanted = np.concatenate([force, np.zeros(3)])
         count = len(feet)
-        # Of wrenches in the axes of the soles.
-        net, to_world, cone, moments, shares = [], [], [], [], []
+        # Of wrenches in the axes of the soles: what they come to about the centre of mass.
+        balance, row = np.zeros((6, 6 * count)), np.zeros(6 * count)
         for k, foot in enumerate(feet):
-            rotation, arm = rotations[foot], soles[foot] - com
-            turn = np.kron(np.eye(2), rotation)
-            lever = np.eye(6)
-            lever[3:, :3] = _cross(arm)
-            net.append(lever @ turn)
-            to_world.append(turn)
-            cone.append(self._cone)
-            moments += [6 * k + 3, 6 * k + 4]
-            shares.append((1 - load[foot]) * (1 if k else -1) * rotation[2])
-        balance = np.hstack(net)
-        cost = WRENCH_WEIGHT * balance.T @ balance + 1e-3 * np.eye(6 * count)
-        cost[moments, moments] += MOMENT_WEIGHT
+            rotation = rotations[foot]
+            forces, moments = slice(6 * k, 6 * k + 3), slice(6 * k + 3, 6 * k + 6)
+            balance[:3, forces] = balance[3:, moments] = rotation
+            balance[3:, forces] = cross_matrix(soles[foot] - com) @ rotation
+            row[forces] = (1 - load[foot]) * (1 if k else -1) * rotation[2]
+        cost = WRENCH_WEIGHT * balance.T @ balance + self._least_cost[: 6 * count, : 6 * count]
         if count == 2:
-            row = np.zeros(12)
-            row[0:3], row[6:9] = shares
             cost += SHARE_WEIGHT * np.outer(row, row)
         slope = -WRENCH_WEIGHT * balance.T @ wanted
-        bounds = np.zeros((17 * count, 6 * count))
-        upper = np.zeros(17 * count)
-        for k in range(count):
-            bounds[17 * k : 17 * k + 16, 6 * k : 6 * k + 6] = cone[k]
-            bounds[17 * k + 16, 6 * k + 2] = -1.0
-            upper[17 * k + 16] = -LEAST_FORCE_N
+        rows = len(self._upper) // 2 * count
+        bounds, upper = self._bounds[:rows, : 6 * count], self._upper[:rows]
         found = _minimum(cost, slope, bounds, upper)
         if found is None:
             self.relaxed += 1
@@ -153,7 +147,7 @@ class ForceDistribution:
             raise StageFailed("the distribution of forces has no solution")
         wrenches = np.zeros((2, 6))
         for k, foot in enumerate(feet):
-            wrenches[foot] = to_world[k] @ found[6 * k : 6 * k + 6]
+            wrenches[foot] = (found[6 * k : 6 * k + 6].reshape(2, 3) @ rotations[foot].T).ravel()
         return wrenches
 
 
@@ -161,12 +155,17 @@ def _minimum(
     cost: np.ndarray, slope: np.ndarray, bounds: np.ndarray, upper: np.ndarray
 ) -> np.ndarray | None:
     found, _, flag, _ = daqp.solve(
-        cost, slope, bounds, upper, np.full(len(upper), -1e30), np.zeros(len(upper), np.int32)
+        cost,
+        slope,
+        np.ascontiguousarray(bounds),
+        upper,
+        np.full(len(upper), -1e30),
+        np.zeros(len(upper), np.int32),
     )
     return np.asarray(found) if flag == OPTIMAL and np.isfinite(found).all() else None
 
 
-def _cross(arm: np.ndarray) -> np.ndarray:
+def cross_matrix(arm: np.ndarray) -> np.ndarray:
     """The matrix (3, 3) that multiplies a vector as `arm x vector`."""
     x, y, z = arm
     return np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])

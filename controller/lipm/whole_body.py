@@ -14,12 +14,42 @@ import mujoco
 import numpy as np
 
 from controller.lipm.pattern import StageFailed
-from sim.robot import Robot
-from sim.scene import PHYSICS_TIMESTEP_S, build_scene
+from sim.scene import Scene
 from sim.sensors import SIDES
 
 # Weights of squared errors, m or rad.
 CONTACT_WEIGHT, COM_WEIGHT, SWING_WEIGHT, PELVIS_WEIGHT, POSTURE_WEIGHT = 1e4, 1e3, 5e2, 1e2, 1e-2
+
+# A knee nearer to straight than this has to turn fast for the body to move by little.
+KNEE_LEAST_RAD = 0.75
+HIP, KNEE, ANKLE = 0, 3, 4  # of a leg's six joints
+
+
+def lowered_m(scene: Scene) -> float:
+    """How far below half-sitting the body must walk: both knees stay bent in the longest step.
+
+    The hips are then midway between the feet, half of that step from either ankle.
+    """
+    robot, model = scene.robot, scene.model
+    data, names = mujoco.MjData(model), [joint.name for joint in robot.joints]
+    knee = model.joint(names[KNEE])
+
+    def leg(knee_rad: float) -> np.ndarray:
+        """From hip to ankle (3,), of the left leg in half-sitting but for the knee."""
+        data.qpos[:] = scene.standing_qpos
+        data.qpos[knee.qposadr[0]] = knee_rad
+        mujoco.mj_kinematics(model, data)
+        hip, ankle = (data.joint(names[which]).xanchor for which in (HIP, ANKLE))
+        return np.array(ankle - hip)
+
+    half_sitting_rad = robot.joints[KNEE].half_sitting_rad
+    angles = np.linspace(*knee.range, 400)
+    straight_rad = angles[np.argmax([np.linalg.norm(leg(angle)) for angle in angles])]
+    bend_rad = np.copysign(KNEE_LEAST_RAD, half_sitting_rad - straight_rad)
+    longest_m = np.linalg.norm(leg(straight_rad + bend_rad))
+    x_m, y_m, z_m = np.abs(leg(half_sitting_rad))
+    x_m += robot.training_model.limits.x_m[1] / 2
+    return float(max(z_m - np.sqrt(longest_m**2 - x_m**2 - y_m**2), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +70,8 @@ class BodyTargets:
 class WholeBody:
     """The model's posture, qpos (nq,), which follows the targets."""
 
-    def __init__(self, robot: Robot):
-        self.scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
+    def __init__(self, scene: Scene):
+        self.scene, self.relaxed = scene, 0
         model = self.scene.model
         self._configuration = mink.Configuration(model, self.scene.standing_qpos)
         self._sites = np.array([model.site(f"{side}_sole").id for side in SIDES])
@@ -83,8 +113,10 @@ class WholeBody:
     def follow(self, targets: BodyTargets, time_s: float) -> np.ndarray:
         """Move towards the targets for a time; the velocity qvel (nv,) that it took.
 
+        Where no motion keeps the joints within their ranges, one that leaves them is taken.
+
         Raises:
-            StageFailed: there is no posture within the joints' ranges.
+            StageFailed: there is none even so.
         """
         for side, task in enumerate(self._soles):
             cost = np.sqrt(CONTACT_WEIGHT if targets.standing[side] else SWING_WEIGHT)
@@ -96,19 +128,24 @@ class WholeBody:
         quat = np.zeros(4)
         mujoco.mju_mulQuat(quat, turn, self._upright)
         self._pelvis.set_target(mink.SE3.from_rotation_and_translation(mink.SO3(quat), np.zeros(3)))
-        tasks = [*self._soles, self._com, self._pelvis, self._posture]
-        try:
-            velocity = mink.solve_ik(
-                self._configuration, tasks, time_s, "daqp", limits=self._limits
-            )
-        except mink.NoSolutionFound:
-            raise StageFailed("the inverse kinematics have no solution") from None
-        if not np.isfinite(velocity).all():
-            raise StageFailed("the inverse kinematics have no finite solution")
+        velocity = self._velocity_to(time_s, self._limits)
+        if velocity is None:
+            self.relaxed += 1
+            velocity = self._velocity_to(time_s, [])
+        if velocity is None:
+            raise StageFailed("the inverse kinematics have no solution")
         self._configuration.integrate_inplace(velocity, time_s)
         self._acceleration = (velocity - self._velocity) / time_s
         self._velocity = velocity
         return velocity
+
+    def _velocity_to(self, time_s: float, limits: list[mink.Limit]) -> np.ndarray | None:
+        tasks = [*self._soles, self._com, self._pelvis, self._posture]
+        try:
+            velocity = mink.solve_ik(self._configuration, tasks, time_s, "daqp", limits=limits)
+        except mink.NoSolutionFound:
+            return None
+        return np.asarray(velocity) if np.isfinite(velocity).all() else None
 
     def torque_nm(self, wrenches: np.ndarray) -> np.ndarray:
         """Joint torques (J,) of the last motion under the ground's wrenches (2, 6) on the soles.
