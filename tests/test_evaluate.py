@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from typing import Any
 
 import numpy as np
 import pytest
@@ -332,7 +333,9 @@ def made_up_evaluation(scale: float, **who) -> dict:
     }
     loads = {"peak_torque_nm": 50.0 * scale, "peak_speed_rad_s": 1.5, "rms_torque_nm": 20.0}
     limits = {"torque_limit_nm": 600.0, "speed_limit_rad_s": 8.0}
-    joints = [{"joint": joint.name, **loads, **limits} for joint in ROBOT.joints]
+    joints: list[dict[str, Any]] = [
+        {"joint": joint.name, **loads, **limits} for joint in ROBOT.joints
+    ]
     joints[-6]["peak_torque_nm"] *= 1.5  # the right leg's first joint
     walks = {"walks": 8, "falls": 2}
     return {

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -155,7 +156,7 @@ def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, br
     assert walker.relaxed == [{"pattern": 0, "distribution": 0, "inverse_kinematics": 0}]
     solve = mink.solve_ik
 
-    def without_solution(*words, limits):
+    def without_solution(*words: Any, limits: Any) -> Any:
         if limits or not broken:
             raise mink.NoSolutionFound("daqp")
         return solve(*words, limits=limits)

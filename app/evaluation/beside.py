@@ -48,7 +48,7 @@ def who(document: Document) -> str:
 def has(document: Document, section: str) -> bool:
     """Whether an evaluation can show a section; of a gait in which all fell there is nothing."""
     found = document.get(section)
-    return bool(found) and (section != "gait" or "joints" in found)
+    return bool(found and (section != "gait" or "joints" in found))
 
 
 def beside(document: Document) -> list[str]:

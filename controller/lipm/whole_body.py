@@ -43,7 +43,8 @@ def lowered_m(scene: Scene) -> float:
         return np.array(ankle - hip)
 
     half_sitting_rad = robot.joints[KNEE].half_sitting_rad
-    angles = np.linspace(*knee.range, 400)
+    least_rad, most_rad = knee.range.tolist()
+    angles = np.linspace(least_rad, most_rad, 400)
     straight_rad = angles[np.argmax([np.linalg.norm(leg(angle)) for angle in angles])]
     bend_rad = np.copysign(KNEE_LEAST_RAD, half_sitting_rad - straight_rad)
     longest_m = np.linalg.norm(leg(straight_rad + bend_rad))
@@ -80,7 +81,7 @@ class WholeBody:
         self._pelvis = mink.FrameTask("pelvis", "body", 0.0, np.sqrt(PELVIS_WEIGHT))
         self._posture = mink.PostureTask(model, np.sqrt(POSTURE_WEIGHT))
         self._posture.set_target(self.scene.standing_qpos)
-        self._limits = [mink.ConfigurationLimit(model)]
+        self._limits: list[mink.Limit] = [mink.ConfigurationLimit(model)]
         self._upright = self.scene.standing_qpos[3:7]
         self._velocity, self._acceleration = np.zeros(model.nv), np.zeros(model.nv)
         self._force = np.zeros(model.nv)
