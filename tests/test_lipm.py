@@ -154,7 +154,7 @@ def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, br
     tick = LipmController().start(walker)
     tick()
     assert walker.relaxed == [{"pattern": 0, "distribution": 0, "inverse_kinematics": 0}]
-    solve = mink.solve_ik
+    solve: Any = mink.solve_ik
 
     def without_solution(*words: Any, limits: Any) -> Any:
         if limits or not broken:
