@@ -13,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import TypeVar
 
+from app.cluster import on_cluster
 from app.output import InputError, ProgressBar, say
 from planner.options import PlannerOptions
 from planner.robot_model import StepModel
@@ -22,16 +23,32 @@ Result = TypeVar("Result")
 
 
 def in_order(
-    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    workers: int,
+    *,
+    cluster: str | None = None,
+    cpus: int = 1,
 ) -> Iterator[Result]:
     """The results in the order of the jobs, from so many processes; 0 takes all cores.
 
     function and jobs travel to new processes, so both must be importable there. When the reader
-    stops early, by Ctrl-C or by an exception, the processes end at once.
+    stops early, by Ctrl-C or by an exception, the processes end at once. With the address of a Ray
+    cluster its workers do it (`app/cluster.py`), each job on so many cpus, and 0 takes them all.
 
     Raises:
-        InputError: A process died, which is hardly ever for another reason than want of memory.
+        InputError: A process died, which is hardly ever for another reason than want of memory; or
+            the cluster is not there.
     """
+    if cluster is not None:
+        done: dict[int, Result] = {}
+        results = on_cluster(function, jobs, cluster, at_once=workers, cpus=cpus)
+        for number in range(len(jobs)):
+            while number not in done:
+                finished, result = next(results)
+                done[finished] = result
+            yield done.pop(number)
+        return
     workers = min(workers or os.cpu_count() or 1, len(jobs))
     if workers <= 1:
         yield from map(function, jobs)

@@ -59,6 +59,7 @@ MAY_LOAD = {
     "mcap": ("app",),
     "rosbags": ("app",),
     "cyclonedds": ("app",),
+    "ray": ("app",),
 }
 
 

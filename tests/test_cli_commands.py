@@ -220,7 +220,7 @@ def test_trials_go_on_where_they_were_stopped(tmp_path, capsys, monkeypatch):
     assert main([*words, "--count", "1"]) == ExitCode.DONE
     first = json.loads((tmp_path / "trials.json").read_text())["trials"]
 
-    def stopped(walk, trials, workers):
+    def stopped(walk, trials, workers, cluster):
         assert [trial.number for trial in trials] == [1, 2]
         yield walk(trials[0])
         raise KeyboardInterrupt

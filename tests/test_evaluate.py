@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import shutil
 from typing import Any
 
@@ -17,7 +18,7 @@ from app.evaluation.figures import FIGURES, write_figures
 from app.evaluation.limits import measured_of, sole_errors_m
 from app.evaluation.parts import EvaluationSetup, finite
 from app.evaluation.report_text import report
-from app.evaluation.sections import SECTIONS, mode_row
+from app.evaluation.sections import SECTIONS, measure_part, mode_row, parts_of
 from app.evaluation.tables import plain_joint, table
 from controller.assessment import ModeResult
 from controller.evaluation.step_limits import StepWalks
@@ -450,3 +451,16 @@ def test_names_of_joints_and_tables():
     ]
     shown = table([{"x": 1}], ("a", "{x}"), ("b", lambda row: f"{2 * row['x']}"))
     assert shown == ["| a | b |", "|---|---|", "| 1 | 2 |"]
+
+
+def test_part_is_measured_by_its_name_in_another_process_as_in_this_one():
+    setup = evaluation_setup(1)
+    parts = {part.name: part for part in parts_of(setup)}
+    assert {name: part.needs for name, part in parts.items() if part.needs} == {
+        "limits-sway": ("limits-region",)
+    }
+    sent = pickle.loads(pickle.dumps(setup))
+    here, there = parts["modes-standing"].measure({}), measure_part(sent, {}, "modes-standing")
+    assert finite(here) == finite(there)
+    not_found = {"limits-region": {"found": False}}
+    assert measure_part(sent, not_found, "limits-sway")["walks"] == 0

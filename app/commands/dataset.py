@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from app.cluster import ClusterOption
 from app.navigation.report import installed_versions
 from app.options import (
     CountOption,
@@ -124,6 +125,9 @@ class DatasetOptions(MapOptions):
     workers: WorkersOption = 0
     """Processes that plan, such as 2; 0 for all cores."""
 
+    cluster: ClusterOption = None
+    """Ray cluster that does the work, such as auto or 10.0.0.1:6379; none: this machine alone."""
+
     format: Annotated[str, choice(*FORMATS)] = "npz"
     """The default npz alone, or such as lhw: also plans.txt, which the paper's own code reads."""
 
@@ -161,7 +165,7 @@ def run(options: DatasetOptions) -> int:
     from app.pictures.dataset_pictures import write_contact_sheet, write_histograms
 
     with folder_to_fill(options.out) as folder:
-        drawn = draw(wanted, options.count, options.workers)
+        drawn = draw(wanted, options.count, options.workers, options.cluster)
         drawn_s = time.perf_counter() - began
         corpus = corpus_of([d.plan for d in drawn if d.plan], robot.name, [d.box for d in drawn])
         manifest = manifest_of(options, wanted, drawn)
@@ -229,7 +233,7 @@ def wanted_plans(options: DatasetOptions, robot: Robot) -> RandomPlans:
     )
 
 
-def draw(wanted: RandomPlans, count: int, workers: int) -> list[Drawn]:
+def draw(wanted: RandomPlans, count: int, workers: int, cluster: str | None = None) -> list[Drawn]:
     """So many plans, in the order of their numbers.
 
     Raises:
@@ -242,7 +246,8 @@ def draw(wanted: RandomPlans, count: int, workers: int) -> list[Drawn]:
     drawn: list[Drawn] = []
     jobs = portions(count, workers, DRAW_PORTION)
     with ProgressBar("plans", count) as bar:
-        for some in in_order(functools.partial(random_plans, wanted), jobs, workers):
+        plans = functools.partial(random_plans, wanted)
+        for some in in_order(plans, jobs, workers, cluster=cluster):
             for one in some:
                 if one.plan is None:
                     total = one.refused.total()

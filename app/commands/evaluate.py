@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from app.cluster import ClusterOption, connected, on_cluster
 from app.controllers import CONTROLLERS, ControllerOption, load_controlled
 from app.navigation.report import installed_versions
 from app.options import (
@@ -77,6 +79,10 @@ class EvaluateOptions(RobotOptions):
     workers: WorkersOption = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
+    cluster: ClusterOption = None
+    """Ray cluster that does the work, such as auto or 10.0.0.1:6379, each part on as many cores as
+    --workers says, by default one; none: this machine alone, one part after the other."""
+
     controller: ControllerOption = "policy"
     """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
 
@@ -141,16 +147,16 @@ def evaluated(
     from app.evaluation.limits import measured_of
     from app.evaluation.parts import EvaluationSetup
     from app.evaluation.report_text import report
-    from app.evaluation.sections import SECTIONS
+    from app.evaluation.sections import parts_of
 
     setup = EvaluationSetup(
         robot=robot,
         controller=controller,
         episodes=options.episodes,
         seed=options.seed,
-        threads=options.workers or os.cpu_count() or 1,
+        threads=options.workers or (1 if options.cluster else os.cpu_count()) or 1,
     )
-    parts = [part for section in SECTIONS.values() for part in section(setup)]
+    parts = parts_of(setup)
     results: Results = {}
 
     def write(document: dict[str, Any]) -> None:
@@ -189,11 +195,31 @@ def _measure(
         say(f"{len(wanted) - len(missing)} of {len(wanted)} parts are there already")
     done = 0.0
     with ProgressBar("evaluating, s walked", sum(part.robot_seconds for part in missing)) as bar:
-        for part in missing:
-            bar.update(done, part.name)
-            results[part.name] = finite(part.measure(results))
+        for part, result in _measured(missing, options, setup, results):
+            results[part.name] = finite(result)
             kept.write(part, results[part.name])
             done += part.robot_seconds
+            bar.update(done, part.name)
+
+
+def _measured(
+    parts: Sequence[Part], options: EvaluateOptions, setup: EvaluationSetup, results: Results
+) -> Iterator[tuple[Part, dict[str, Any]]]:
+    """Each part with its result, as it is measured; `results` has those of the parts before."""
+    from app.evaluation.sections import measure_part
+
+    if options.cluster is None:
+        yield from ((part, part.measure(results)) for part in parts)
+        return
+    with connected(options.cluster):
+        # First what needs no other part, then what needs those.
+        for needs in (False, True):
+            some = [part for part in parts if bool(part.needs) == needs]
+            known = {name: results[name] for part in some for name in part.needs}
+            measure = functools.partial(measure_part, setup, known)
+            names = [part.name for part in some]
+            for number, result in on_cluster(measure, names, options.cluster, cpus=setup.threads):
+                yield some[number], result
 
 
 def store_limits(

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from app.cluster import ClusterOption
 from app.controllers import ControllerOption, load_controlled
 from app.navigation.report import Outcome, Percentiles, installed_versions
 from app.options import (
@@ -79,6 +80,9 @@ class TrialsOptions(PlanningOptions):
     workers: WorkersOption = 0
     """Processes that walk, such as 2; 0 for all cores."""
 
+    cluster: ClusterOption = None
+    """Ray cluster that does the work, such as auto or 10.0.0.1:6379; none: this machine alone."""
+
     out: FolderOption = Path("runs/trials")
     """Folder for trials.json, such as runs/trials; made when missing."""
 
@@ -131,8 +135,9 @@ def run(options: TrialsOptions) -> int:
     written_s = time.monotonic()
     try:
         with ProgressBar("walks", len(trials)) as bar:
-            walk = functools.partial(walk_one, grid, options)
-            for result in in_order(walk, trials[len(results) :], options.workers):
+            walk = functools.partial(walk_one, grid, with_whole_paths(options))
+            missing = trials[len(results) :]
+            for result in in_order(walk, missing, options.workers, cluster=options.cluster):
                 results.append(result)
                 reached = sum(r["outcome"] == "reached" for r in results)
                 bar.update(len(results), f"{reached} reached")
@@ -244,6 +249,12 @@ def wide_ways(
         return bool(first == last > 0)
 
     return are_joined
+
+
+def with_whole_paths(options: TrialsOptions) -> TrialsOptions:
+    """The options with files that a process in another folder finds or puts where they belong."""
+    policy, record = (path and path.resolve() for path in (options.policy, options.record))
+    return replace(options, policy=policy, record=record)
 
 
 def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[str, Any]:

@@ -90,7 +90,12 @@ def limits_parts(setup: EvaluationSetup) -> list[Part]:
     return [
         Part(name="limits-map", robot_seconds=map_s, measure=measure_map),
         Part(name="limits-region", robot_seconds=region_s, measure=measure_region),
-        Part(name="limits-sway", robot_seconds=planned * PLANNED_S, measure=measure_sway),
+        Part(
+            name="limits-sway",
+            robot_seconds=planned * PLANNED_S,
+            measure=measure_sway,
+            needs=("limits-region",),
+        ),
     ]
 
 

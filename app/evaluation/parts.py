@@ -62,13 +62,14 @@ class EvaluationSetup:
 class Part:
     """One measurement; its name is that of its section, or begins with it and `-`.
 
-    `measure` is told the results so far, by part name. `robot_seconds` is how much walking is
-    simulated: the measure of progress.
+    `measure` is told the results so far, by part name, and uses those of the parts that it `needs`.
+    `robot_seconds` is how much walking is simulated: the measure of progress.
     """
 
     name: str
     robot_seconds: float
     measure: Callable[[Results], dict[str, Any]]
+    needs: tuple[str, ...] = ()
 
     @property
     def section(self) -> str:

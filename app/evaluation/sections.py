@@ -298,3 +298,14 @@ SECTIONS: Mapping[str, Callable[[EvaluationSetup], list[Part]]] = {
     "long": long_parts,
     "limits": limits_parts,
 }
+
+
+def parts_of(setup: EvaluationSetup) -> list[Part]:
+    """All parts of an evaluation, section by section."""
+    return [part for section in SECTIONS.values() for part in section(setup)]
+
+
+def measure_part(setup: EvaluationSetup, known: Results, name: str) -> dict[str, Any]:
+    """The result of the part of that name, given those that it needs; for another process."""
+    part = next(part for part in parts_of(setup) if part.name == name)
+    return part.measure(known)
