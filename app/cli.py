@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
-from app.output import ExitCode, InputError, one_line, release_folders
+from app.output import ExitCode, InputError, one_line, release_folders, told_by_one_rank
 
 PROGRAM = "python main.py"
 
@@ -72,6 +72,10 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
         "serve": Command(
             "open a web page: click a goal and watch the robot walk there",
             "serve --map maps/room.png",
+        ),
+        "sweep": Command(
+            "train many policies: every combination of seeds, rewards and robots",
+            "sweep sweep.yaml --out runs/sweep",
         ),
         "train": Command(
             "train the policy that walks",
@@ -183,9 +187,10 @@ def _dispatch(arguments: list[str], program: str) -> int:
     from app.options import parse_options
 
     run, kind = load_run(name)
-    options = parse_options(
-        kind, rest, program=f"{program} {name}", example=f"{program} {command.example}"
-    )
+    with told_by_one_rank():
+        options = parse_options(
+            kind, rest, program=f"{program} {name}", example=f"{program} {command.example}"
+        )
     if not command.draws:
         from sim.gl import switch_gl_off
 

@@ -57,6 +57,21 @@ def as_bad_input(*kinds: type[Exception]) -> Iterator[None]:
         raise InputError(str(error)) from error
 
 
+@contextlib.contextmanager
+def told_by_one_rank() -> Iterator[None]:
+    """Lets an InputError raised inside be told once where `torchrun` runs this many times.
+
+    All those processes have the same command line: the first on each machine tells what is wrong
+    with it, the others exit without a word.
+    """
+    try:
+        yield
+    except InputError:
+        if os.environ.get("LOCAL_RANK", "0") != "0":
+            raise SystemExit(ExitCode.BAD_INPUT) from None
+        raise
+
+
 def one_line(message: object) -> str:
     """The message with every run of white space, line ends included, made one blank.
 

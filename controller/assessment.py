@@ -20,6 +20,7 @@ from sim.robot import Robot
 if TYPE_CHECKING:
     # Only `train` needs the libraries that it loads.
     from controller.ppo import TrainConfig
+    from controller.ranks import Ranks
 
 ASSESS_SEED = 987_654_321
 # Disturbances, at level 1, of the held-out stair episodes that have any.
@@ -183,29 +184,41 @@ def at_navigation_rate(config: TaskConfig | None = None) -> TaskConfig:
 
 
 def assess_stage(
-    robot: Robot, policy: Policy, config: TrainConfig, stage: Stage, *, threads: int
+    robot: Robot,
+    policy: Policy,
+    config: TrainConfig,
+    stage: Stage,
+    *,
+    threads: int,
+    ranks: Ranks,
 ) -> tuple[ModeResult, ...]:
     """Results at a stage: flat, then, if it has stairs, stairs without and with disturbances.
 
-    The disturbances scale with the stage's level. The episodes are divided among the results.
+    The disturbances scale with the stage's level. The episodes are divided among the results. Of
+    several `ranks` each walks its share of them, of its own seed, and all get the results of all.
     """
     cases: list[tuple[str | None, dict[str, float]]] = [(None, {})]
     if stage.rise_m > 0:
         rough = {name: stage.disturbance_level * value for name, value in ROUGH.items()}
         cases += [("stairs", {"rise_m": stage.rise_m, **extra}) for extra in ({}, rough)]
-    return tuple(
+    episodes = ranks.share(-(-config.assess_episodes // len(cases)))
+    mine = [
         assess_mode(
             robot,
             policy,
             mode,
-            episodes=-(-config.assess_episodes // len(cases)),
-            seed=ASSESS_SEED,
+            episodes=episodes,
+            seed=ASSESS_SEED + ranks.rank,
             threads=threads,
             config=config.task,
             **settings,
         )
         for mode, settings in cases
-    )
+        if episodes
+    ]
+    # A rank beyond the number of episodes has walked none.
+    parts = [results for results in ranks.gathered(mine) if results]
+    return tuple(ModeResult.joined(case) for case in zip(*parts, strict=True))
 
 
 def score(stage: Stage, results: tuple[ModeResult, ...]) -> tuple[float, float]:

@@ -25,7 +25,7 @@ LEAST_FREE_BYTES = 50_000_000
 
 
 class TrainingError(ValueError):
-    """The training folder cannot be used as asked; the message is one line."""
+    """Training cannot go on as asked; the message is one line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,8 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     if not path.is_file():
         raise TrainingError(f"{folder} holds no {CHECKPOINT} to resume from")
     try:
-        document = torch.load(path, weights_only=True)
+        # To the CPU: a run on a GPU may go on without one.
+        document = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         # torch's own message is many lines of advice that does not apply here.
         raise TrainingError(f"{path} cannot be read: it is damaged or no checkpoint") from error

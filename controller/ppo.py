@@ -44,15 +44,18 @@ class PpoConfig:
 
 
 class RslWalkEnv(VecEnv):  # type: ignore[misc]
-    """The walking task as rsl-rl sees it; observations are scaled and in float32."""
+    """The walking task as rsl-rl sees it; observations are scaled and in float32.
 
-    def __init__(self, task: WalkTask):
+    The simulations are on the CPUs, the tensors on the `device` of the networks.
+    """
+
+    def __init__(self, task: WalkTask, device: torch.device | str = "cpu"):
         self.task = task
         self.num_envs = task.count
         self.num_actions = len(task.robot.joints)
         self.max_episode_length = task.config.episode_ticks
         self.episode_length_buf = torch.zeros(task.count, dtype=torch.long)
-        self.device = "cpu"
+        self.device = device
         self.cfg = asdict(task.config)
 
     def get_observations(self) -> TensorDict:
@@ -62,21 +65,23 @@ class RslWalkEnv(VecEnv):  # type: ignore[misc]
 
     def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict]:
         """One control step of every robot; `extras` holds the task's `Transition`."""
-        step = self.task.step(actions.numpy().astype(np.float64))
-        done = torch.from_numpy(step.terminated | step.truncated).long()
-        extras = {"time_outs": torch.from_numpy(step.truncated).float(), "transition": step}
+        step = self.task.step(actions.cpu().numpy().astype(np.float64))
+        done = self._tensor(step.terminated | step.truncated).long()
+        extras = {"time_outs": self._tensor(step.truncated).float(), "transition": step}
         observation = self._pack(step.observation, step.critic_observation)
-        return observation, torch.from_numpy(step.reward).float(), done, extras
+        return observation, self._tensor(step.reward).float(), done, extras
 
     def _pack(self, observation: np.ndarray, critic_observation: np.ndarray) -> TensorDict:
         return TensorDict(
-            {"actor": _limited(observation), "critic": _limited(critic_observation)},
+            {"actor": self._limited(observation), "critic": self._limited(critic_observation)},
             batch_size=[self.num_envs],
         )
 
+    def _limited(self, observation: np.ndarray) -> torch.Tensor:
+        return self._tensor(np.clip(observation, -SCALED_LIMIT, SCALED_LIMIT)).float()
 
-def _limited(observation: np.ndarray) -> torch.Tensor:
-    return torch.from_numpy(np.clip(observation, -SCALED_LIMIT, SCALED_LIMIT)).float()
+    def _tensor(self, array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(array).to(self.device)
 
 
 class SymmetricNetwork(torch.nn.Module):
@@ -89,8 +94,10 @@ class SymmetricNetwork(torch.nn.Module):
     def __init__(self, network: torch.nn.Module, observed: MirrorMap, output: MirrorMap):
         super().__init__()
         self.network = network
-        self._index, self._output_index = (torch.from_numpy(m[0]) for m in (observed, output))
-        self._sign, self._output_sign = (torch.from_numpy(m[1]).float() for m in (observed, output))
+        # Buffers move with the network to its device; they are no part of what is saved.
+        for name, (index, sign) in (("", observed), ("_output", output)):
+            self.register_buffer(f"{name}_index", torch.from_numpy(index), persistent=False)
+            self.register_buffer(f"{name}_sign", torch.from_numpy(sign).float(), persistent=False)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Outputs (n, J) for scaled observations (n, N)."""
@@ -101,11 +108,11 @@ class SymmetricNetwork(torch.nn.Module):
     def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         """It as one plain network of twice the width: layers of (weight, bias) arrays."""
         linear = [m for m in self.network.modules() if isinstance(m, torch.nn.Linear)]
-        arrays = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in linear]
+        arrays = [(m.weight.detach().cpu().numpy(), m.bias.detach().cpu().numpy()) for m in linear]
         (first, first_bias), *middle, (last, last_bias) = arrays
         image = np.zeros_like(first)
-        image[:, self._index.numpy()] = first * self._sign.numpy()
-        index, sign = self._output_index.numpy(), self._output_sign.numpy()
+        image[:, self._index.cpu().numpy()] = first * self._sign.cpu().numpy()
+        index, sign = self._output_index.cpu().numpy(), self._output_sign.cpu().numpy()
         return (
             (np.vstack([first, image]), np.tile(first_bias, 2)),
             *((np.kron(np.eye(2, dtype=w.dtype), w), np.tile(b, 2)) for w, b in middle),
@@ -116,8 +123,29 @@ class SymmetricNetwork(torch.nn.Module):
         )
 
 
-def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
-    """A new learner for the environment; weights are drawn from torch's generator."""
+class RankedPPO(PPO):  # type: ignore[misc]
+    """PPO that normalises the advantages over the samples of all ranks, as one process does."""
+
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Returns and advantages of the rollout, given the observations after it."""
+        super().compute_returns(obs)
+        if not self.is_multi_gpu:
+            return
+        advantages = (self.storage.returns - self.storage.values).double()
+        sums = torch.stack([advantages.sum(), advantages.square().sum()])
+        torch.distributed.all_reduce(sums)
+        count = advantages.numel() * self.gpu_world_size
+        mean = sums[0] / count
+        std = ((sums[1] - count * mean**2) / (count - 1)).sqrt()
+        self.storage.advantages = ((advantages - mean) / (std + 1e-8)).float()
+
+
+def make_ppo(env: RslWalkEnv, config: PpoConfig, multi_gpu: Mapping[str, int] | None = None) -> PPO:
+    """A new learner for the environment; weights are drawn from torch's generator.
+
+    With several ranks, as `Ranks.multi_gpu` tells, it has the weights of rank 0 and averages its
+    gradients over all; rsl-rl calls them GPUs, here they may be CPUs.
+    """
     network = {"class_name": "MLPModel", "hidden_dims": list(config.hidden), "activation": "relu"}
     noise = {
         "class_name": "GaussianDistribution",
@@ -126,7 +154,7 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
     }
     settings = {
         "algorithm": {
-            "class_name": "PPO",
+            "class_name": RankedPPO,
             "num_learning_epochs": config.epochs,
             "num_mini_batches": config.minibatches,
             "learning_rate": config.learning_rate[0],
@@ -141,14 +169,18 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig) -> PPO:
         "critic": dict(network),
         "obs_groups": {"actor": ["actor"], "critic": ["critic"]},
         "num_steps_per_env": config.ticks_per_update,
-        "multi_gpu": None,
+        "multi_gpu": multi_gpu,
     }
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its networks
-        ppo = PPO.construct_algorithm(env.get_observations(), env, settings, "cpu")
+        ppo = PPO.construct_algorithm(env.get_observations(), env, settings, str(env.device))
     robot = env.task.robot
     seen, alone = policy_fields(robot), (np.array([0]), np.array([1.0]))
     ppo.actor.mlp = SymmetricNetwork(ppo.actor.mlp, mirror_map(seen), robot.mirror_joints)
     ppo.critic.mlp = SymmetricNetwork(ppo.critic.mlp, mirror_map(seen + critic_fields()), alone)
+    for model in (ppo.actor, ppo.critic):
+        model.to(env.device)
+    if multi_gpu is not None:
+        ppo.broadcast_parameters()
     return ppo
 
 

@@ -3,13 +3,17 @@
 A segment is a fixed number of updates. It begins by drawing new episodes and seeding torch from
 (seed, segment), and ends with a checkpoint; so a resumed run gives the policy that the
 uninterrupted one gives, whatever the number of physics threads.
+
+With several ranks (`controller/ranks.py`) each has its share of the robots, all do the same
+updates, and rank 0 alone reads and writes the folder.
 """
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,6 +34,7 @@ from controller.curriculum import Stage
 from controller.env import Transition, WalkTask
 from controller.policy import Policy, policy_for, save_policy
 from controller.ppo import RslWalkEnv, TrainConfig, make_ppo, set_progress
+from controller.ranks import Ranks
 from controller.step_sequences import PlannedSteps
 from sim.robot import Robot
 
@@ -61,6 +66,21 @@ class SegmentStatistics:
         for name, value in step.terms.items():
             self.terms[name] = self.terms.get(name, 0.0) + value
 
+    @classmethod
+    def joined(cls, parts: Sequence[SegmentStatistics]) -> SegmentStatistics:
+        """Those of ranks with as many robots each: their means averaged, their counts added."""
+        totals = {
+            name: sum(getattr(part, name) for part in parts)
+            for name in ("ended", "fallen", "stairs_ended", "stairs_fallen", "failed")
+        }
+        return cls(
+            reward=sum(part.reward for part in parts) / len(parts),
+            steps=parts[0].steps,
+            errors=[errors for part in parts for errors in part.errors],
+            terms=_mean_of([part.terms for part in parts]),
+            **totals,
+        )
+
     def summary(self) -> dict[str, float]:
         """Means over the segment."""
         landings = np.concatenate(self.errors) if self.errors else np.zeros(0)
@@ -72,6 +92,11 @@ class SegmentStatistics:
             "failed_simulations": float(self.failed),
             **{f"term/{name}": value / self.steps for name, value in self.terms.items()},
         }
+
+
+def _mean_of(parts: Sequence[dict[str, float]]) -> dict[str, float]:
+    """The mean of each number over documents with the same keys."""
+    return {name: sum(part[name] for part in parts) / len(parts) for name in parts[0]}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +131,13 @@ def git_revision() -> str:
 
 
 class Trainer:
-    """One training run in one folder: checkpoint, log, and the best policy so far."""
+    """One training run in one folder: checkpoint, log, and the best policy so far.
+
+    `threads` are those of the physics of this rank; the networks are on the `device`.
+
+    Raises:
+        TrainingError: the robots do not divide among the ranks.
+    """
 
     def __init__(
         self,
@@ -117,22 +148,27 @@ class Trainer:
         threads: int,
         command: str,
         planned: PlannedSteps | None = None,
+        ranks: Ranks | None = None,
+        device: torch.device | str = "cpu",
     ):
+        self.ranks = ranks or Ranks()
+        self.ranks.require_equal_shares(config.ppo.robots)
         self.robot, self.config, self.out = robot, config, out
         self.threads, self.command = threads, command
         self._revision = git_revision()  # of the code that runs, not of what is committed later
-        torch.set_num_threads(config.ppo.learner_threads)
+        self._learner_threads = self.ranks.learner_threads(config.ppo.learner_threads)
+        torch.set_num_threads(self._learner_threads)
         torch.manual_seed(config.seed)
         task = WalkTask(
             robot,
-            count=config.ppo.robots,
+            count=self.ranks.share(config.ppo.robots),
             seed=config.seed,
             threads=threads,
             config=config.task,
             planned=planned,
         )
-        self.env = RslWalkEnv(task)
-        self.ppo = make_ppo(self.env, config.ppo)
+        self.env = RslWalkEnv(task, device)
+        self.ppo = make_ppo(self.env, config.ppo, self.ranks.multi_gpu)
         self.segment = 0
         self.stage = config.curriculum.first()
         self.best_score: tuple[float, ...] = (-np.inf,)
@@ -141,30 +177,41 @@ class Trainer:
     def run(self, progress: Callable[[SegmentReport], None]) -> None:
         """Train to the end from the present segment; the best policy is saved in the folder.
 
+        `progress` is called after each segment, at every rank.
+
         Raises:
             TrainingError: the folder cannot be written, say because the disk is full.
         """
-        from torch.utils.tensorboard import SummaryWriter
-
         try:
-            with SummaryWriter(log_dir=str(self.out / "tensorboard")) as writer:
+            with self._writer() as writer:
                 while self.segment < self.config.segments:
-                    require_room(self.out)
+                    if self.ranks.is_first:
+                        require_room(self.out)
                     report = self._run_segment(writer)
-                    # Before the checkpoint, so that a resumed run finds the best policy.
-                    if report.best:
-                        save_policy(self._policy(), self.out / f"{self.robot.name}.safetensors")
-                    self.save_checkpoint()
+                    if self.ranks.is_first:
+                        # Before the checkpoint, so that a resumed run finds the best policy.
+                        if report.best:
+                            save_policy(self._policy(), self.out / f"{self.robot.name}.safetensors")
+                        self.save_checkpoint()
                     progress(report)
+            self.ranks.gathered(None)  # none ends well before the first has written all
         except OSError as error:
             raise TrainingError(
                 f"cannot write in {self.out}: {error.strerror or error}; "
                 "make room and go on with --resume"
             ) from error
 
+    def _writer(self) -> contextlib.AbstractContextManager[Any]:
+        """TensorBoard's, at rank 0; None at the others."""
+        if not self.ranks.is_first:
+            return contextlib.nullcontext()
+        from torch.utils.tensorboard import SummaryWriter
+
+        return SummaryWriter(log_dir=str(self.out / "tensorboard"))
+
     def _run_segment(self, writer: Any) -> SegmentReport:
         config = self.config
-        segment_seed = np.random.SeedSequence([config.seed, self.segment])
+        segment_seed = self.ranks.seed_sequence(config.seed, self.segment)
         torch.manual_seed(int(segment_seed.generate_state(1)[0]))  # rsl-rl draws from it
         self.env.task.restart(segment_seed, stage=self.stage)
         started, statistics = time.perf_counter(), SegmentStatistics()
@@ -175,11 +222,20 @@ class Trainer:
             set_progress(self.ppo, config.ppo, done / config.segments)
             self.env.task.weights = config.rewards.at(done / config.segments)
             observation = self._sample(observation, statistics)
-            torch.set_num_threads(config.ppo.learner_threads)
+            torch.set_num_threads(self._learner_threads)
             losses = self.ppo.update()
+        statistics = SegmentStatistics.joined(self.ranks.gathered(statistics))
+        losses = _mean_of(self.ranks.gathered(losses))
         seconds = time.perf_counter() - started
         self.segment += 1
-        results = assess_stage(self.robot, self._policy(), config, self.stage, threads=self.threads)
+        results = assess_stage(
+            self.robot,
+            self._policy(),
+            config,
+            self.stage,
+            threads=self.threads,
+            ranks=self.ranks,
+        )
         return self._note(writer, statistics.summary(), losses, results, seconds)
 
     def _sample(self, observation: Any, statistics: SegmentStatistics) -> Any:
@@ -202,20 +258,16 @@ class Trainer:
         results: tuple[ModeResult, ...],
         seconds: float,
     ) -> SegmentReport:
-        """Log the segment, append it to the history and update best score and stage."""
+        """Log the segment, append it to the history and update best score and stage.
+
+        All ranks do it alike; `writer` is None at those that write nothing.
+        """
         config, stage, (flat, *stairs) = self.config, self.stage, results
         samples = self.segment * config.samples_per_segment
         assessed = flat.summary
         assessed_stairs = [result.summary for result in stairs]
-        for name, value in {**summary, **{f"loss/{k}": v for k, v in losses.items()}}.items():
-            writer.add_scalar(f"train/{name}", value, samples)
-        writer.add_scalar("train/rise_m", stage.rise_m, samples)
-        groups = zip(("assess", "stairs", "rough_stairs"), (flat, *stairs), strict=False)
-        for group, result in groups:
-            for name, number in result.summary.items():
-                if not isinstance(number, str):
-                    writer.add_scalar(f"{group}/{name}", number, samples)
-        writer.flush()
+        if writer is not None:
+            self._log(writer, summary, losses, results)
         # Policies trained under the warm-up reward count as worse.
         blended = config.rewards.progress((self.segment - 1) / config.segments)
         now = (blended, *score(stage, results))
@@ -242,6 +294,25 @@ class Trainer:
             stairs=tuple(stairs),
             best=best,
         )
+
+    def _log(
+        self,
+        writer: Any,
+        summary: dict[str, float],
+        losses: dict[str, float],
+        results: tuple[ModeResult, ...],
+    ) -> None:
+        """Write the numbers of the segment for TensorBoard."""
+        samples = self.segment * self.config.samples_per_segment
+        for name, value in {**summary, **{f"loss/{k}": v for k, v in losses.items()}}.items():
+            writer.add_scalar(f"train/{name}", value, samples)
+        writer.add_scalar("train/rise_m", self.stage.rise_m, samples)
+        groups = zip(("assess", "stairs", "rough_stairs"), results, strict=False)
+        for group, result in groups:
+            for name, number in result.summary.items():
+                if not isinstance(number, str):
+                    writer.add_scalar(f"{group}/{name}", number, samples)
+        writer.flush()
 
     def _policy(self) -> Policy:
         config = self.config
@@ -282,7 +353,9 @@ class Trainer:
         Raises:
             TrainingError: there is none, it cannot be read, or it is of another configuration.
         """
-        state = read_checkpoint(self.out, self.config, self.robot)
+        state = self.ranks.from_first(
+            lambda: read_checkpoint(self.out, self.config, self.robot),
+        )
         try:
             self.ppo.load(state.learner, None, True)
         except (RuntimeError, KeyError, ValueError) as error:  # shapes differ, or parts are missing

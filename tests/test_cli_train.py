@@ -25,7 +25,7 @@ class Pretended:
 
     made: list[Pretended] = []  # noqa: RUF012
 
-    def __init__(self, robot, config, out, *, threads, command, planned):
+    def __init__(self, robot, config, out, *, threads, command, planned, ranks, device):
         self.robot, self.config, self.out, self.command = robot, config, out, command
         self.planned, self.segment, self.resumed = planned, 0, False
         self.made.append(self)
@@ -176,7 +176,7 @@ class Finder:
     def __getattr__(self, name):
         return getattr(self.finder, name)
 sys.meta_path[:] = map(Finder, sys.meta_path)
-learner = {"controller.ppo", "controller.runner", "controller.checkpoint"}
+learner = {f"controller.{name}" for name in ("ppo", "runner", "checkpoint", "ranks")}
 files = [path for room in ("controller", "app") for path in pathlib.Path(room).rglob("*.py")]
 names = {".".join(path.with_suffix("").parts) for path in files} - learner
 assert len(names) > 60, names

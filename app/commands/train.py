@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,6 +19,7 @@ from app.options import (
     WorkersOption,
     choice,
     find_robot,
+    whole_number,
 )
 from app.output import (
     ExitCode,
@@ -28,6 +28,7 @@ from app.output import (
     as_bad_input,
     claim_folder,
     say,
+    told_by_one_rank,
     write_text,
 )
 from controller.curriculum import PRESETS as CURRICULA
@@ -36,6 +37,7 @@ from planner.corpus.corpus import Corpus, CorpusError
 from sim.robot import Robot
 
 if TYPE_CHECKING:
+    from controller.ranks import Ranks
     from controller.runner import SegmentReport
     from controller.step_sequences import PlannedSteps
 
@@ -47,7 +49,8 @@ class TrainOptions:
     The folder gets a checkpoint after every segment, a TensorBoard log, and the best policy so
     far. A run that was stopped, however it was, goes on with --resume to the same result. Some
     episodes walk plans of the planner: without --corpus the folder gets a corpus of its own, made
-    as `dataset --count 1000 --seed 0` makes it.
+    as `dataset --count 1000 --seed 0` makes it. Started by `torchrun`, ranks on one machine or
+    several share the simulations: docs/scale.md.
     """
 
     out: FolderOption
@@ -74,6 +77,12 @@ class TrainOptions:
     corpus: OptionalFolder = None
     """Corpus of `dataset` to train on, such as runs/corpus; none: makes one in DIR/corpus."""
 
+    simulations: Annotated[int, whole_number(at_least=1, at_most=1_000_000)] = 256
+    """Robots simulated at once, of all ranks together, such as 256; a segment grows with them."""
+
+    device: Annotated[str, choice("auto", "cpu", "cuda")] = "cpu"
+    """Where the networks are, such as cpu; auto: on a GPU if torch finds one."""
+
     workers: WorkersOption = 0
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
@@ -91,17 +100,39 @@ CORPUS_PLANS = 1000
 
 def run(options: TrainOptions) -> int:
     """Carries the command out; returns the exit code."""
-    require_learner()
+    with told_by_one_rank():
+        require_learner()
     from controller.checkpoint import TrainingError
+    from controller.ranks import joined_ranks
+
+    with as_bad_input(TrainingError), joined_ranks(options.device) as ranks:
+        train(options, ranks)
+    return ExitCode.DONE
+
+
+def train(options: TrainOptions, ranks: Ranks) -> None:
+    """Trains as one of the ranks; the first of them reads, writes and tells.
+
+    Raises:
+        InputError: the options do not go together, or the folder or the corpus cannot be used.
+        TrainingError: there is no such device, no checkpoint to resume from, or no room.
+    """
     from controller.env import TaskConfig
-    from controller.ppo import TrainConfig
+    from controller.ppo import PpoConfig, TrainConfig
+    from controller.ranks import find_device
     from controller.rewards import PRECISE, PRESETS
     from controller.runner import Trainer
 
     robot = find_robot(options.robot)
     curriculum = chosen_curriculum(options, robot)
-    check_folder(options.out, resume=options.resume)
-    planned = read_corpus(options, robot)
+    device = find_device(options.device, ranks)
+    ranks.require_equal_shares(options.simulations)
+
+    def prepare() -> PlannedSteps:
+        check_folder(options.out, resume=options.resume)
+        return read_corpus(options, robot)
+
+    planned = ranks.from_first(prepare)
     config = TrainConfig(
         robot=robot.name,
         samples=options.samples,
@@ -110,25 +141,30 @@ def run(options: TrainOptions) -> int:
         curriculum=curriculum,
         task=TaskConfig(reward=dict(PRESETS[options.reward])),
         warm_up=dict(PRECISE) if options.reward == "quiet" else None,
+        ppo=PpoConfig(robots=options.simulations),
     )
     trainer = Trainer(
         robot,
         config,
         options.out,
-        threads=options.workers or os.cpu_count() or 1,
-        command=command_line(options),
+        threads=options.workers or ranks.physics_threads,
+        command=command_line(options, ranks.count),
         planned=planned,
+        ranks=ranks,
+        device=device,
     )
     if options.resume:
-        with as_bad_input(TrainingError):
-            trainer.resume()
+        trainer.resume()
+    if not ranks.is_first:
+        trainer.run(lambda report: None)
+        return
+    if options.resume:
         say(f"going on after segment {trainer.segment} of {config.segments}")
     write_text(options.out / "config.json", json.dumps(asdict(config), indent=1) + "\n")
     total = config.segments * config.samples_per_segment
-    with ProgressBar("training", total, line_every_s=0.0) as bar, as_bad_input(TrainingError):
+    with ProgressBar("training", total, line_every_s=0.0) as bar:
         trainer.run(lambda report: bar.update(report.samples, progress_line(report)))
     say(f"the best policy is {options.out / robot.name}.safetensors")
-    return ExitCode.DONE
 
 
 def require_learner() -> None:
@@ -202,23 +238,7 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
 
     folder = options.corpus or options.out / OWN_CORPUS
     if options.corpus is None and not options.resume:
-        # Here and not above: it brings the planner along, which training does without.
-        from app.commands import dataset
-        from app.commands.dataset import DatasetOptions
-
-        dataset.run(
-            DatasetOptions(
-                out=folder,
-                count=CORPUS_PLANS,
-                robot=robot.name,
-                goal_x=Interval(-1.0, 3.0),
-                goal_y=Interval(-2.0, 2.0),
-                goal_yaw=Interval(-3.14, 3.14),
-                obstacles=4,
-                refine=True,
-                workers=options.workers,
-            )
-        )
+        make_corpus(folder, robot.name, options.workers)
     elif options.corpus is None and not folder.is_dir():
         raise InputError(
             f"--corpus: the run in {options.out} has no {OWN_CORPUS} of its own: "
@@ -226,6 +246,28 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
         )
     with as_bad_input(CorpusError):
         return PlannedSteps.of(Corpus.load(folder), robot.name, robot.training_model)
+
+
+def make_corpus(folder: Path, robot: str, workers: int = 0, *, cluster: str | None = None) -> None:
+    """Makes the corpus that runs train on which name no other."""
+    # Here and not above: it brings the planner along, which training does without.
+    from app.commands import dataset
+    from app.commands.dataset import DatasetOptions
+
+    dataset.run(
+        DatasetOptions(
+            out=folder,
+            count=CORPUS_PLANS,
+            robot=robot,
+            goal_x=Interval(-1.0, 3.0),
+            goal_y=Interval(-2.0, 2.0),
+            goal_yaw=Interval(-3.14, 3.14),
+            obstacles=4,
+            refine=True,
+            workers=workers,
+            cluster=cluster,
+        )
+    )
 
 
 def progress_line(report: SegmentReport) -> str:
@@ -246,12 +288,14 @@ def progress_line(report: SegmentReport) -> str:
     )
 
 
-def command_line(options: TrainOptions) -> str:
+def command_line(options: TrainOptions, ranks: int = 1) -> str:
     """The command that makes the same policy, for the policy's own record."""
     return (
-        f"python main.py train --robot {options.robot} --samples {options.samples} "
+        ("python" if ranks == 1 else f"torchrun --nproc-per-node {ranks}")
+        + f" main.py train --robot {options.robot} --samples {options.samples} "
         f"--seed {options.seed} --reward {options.reward} --curriculum {options.curriculum}"
         + ("" if options.rise is None else f" --rise {options.rise:g}")
+        + ("" if options.simulations == 256 else f" --simulations {options.simulations}")
         + ("" if options.corpus is None else " --corpus CORPUS")
         + " --out DIR"
     )
