@@ -91,6 +91,11 @@ class SymmetricNetwork(torch.nn.Module):
     from `mirror_map`: (f(x) + N f(M x)) / 2.
     """
 
+    _index: torch.Tensor
+    _sign: torch.Tensor
+    _output_index: torch.Tensor
+    _output_sign: torch.Tensor
+
     def __init__(self, network: torch.nn.Module, observed: MirrorMap, output: MirrorMap):
         super().__init__()
         self.network = network

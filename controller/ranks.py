@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 from torch import distributed
+from torch.distributed.rendezvous import rendezvous
 
 from controller.checkpoint import TrainingError
 
@@ -126,7 +127,7 @@ def joined_ranks(device: str = "cpu") -> Iterator[Ranks]:
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield Ranks()
         return
-    store, rank, count = next(distributed.rendezvous("env://", timeout=SILENCE))
+    store, rank, count = next(rendezvous("env://", timeout=SILENCE))
     ranks = Ranks(
         rank=rank,
         count=count,

@@ -171,7 +171,7 @@ def test_rank_that_dies_ends_all_in_one_line_and_leaves_a_whole_checkpoint(tmp_p
         start_feet_world=feet,
         start=start,
         goal=goal,
-        side=[Side.LEFT, Side.RIGHT],
+        side=np.array([Side.LEFT, Side.RIGHT], np.int8),
         pose_world=ahead,
     )
     corpus, out, program = tmp_path / "corpus", tmp_path / "run", tmp_path / "command.py"

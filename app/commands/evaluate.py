@@ -80,8 +80,8 @@ class EvaluateOptions(RobotOptions):
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
     cluster: ClusterOption = None
-    """Ray cluster that does the work, such as auto or 10.0.0.1:6379, each part on as many cores as
-    --workers says, by default one; none: this machine alone, one part after the other."""
+    """Ray cluster that does the work, such as auto or 10.0.0.1:6379, each part on so many cores as
+    there are workers, by default one; none: this machine alone, one part after the other."""
 
     controller: ControllerOption = "policy"
     """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
