@@ -129,7 +129,7 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
         _leave_output()
         return ExitCode.DONE
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             raise
         where = error.filename or "standard output"
         _tell(f"error: cannot write {where}: {error.strerror}")

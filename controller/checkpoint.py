@@ -15,7 +15,7 @@ import torch
 from controller.curriculum import Stage
 from controller.observation import critic_fields, layout, policy_fields
 from controller.ppo import TrainConfig
-from maps.files import from_json, written_whole
+from maps.files import check_unpacked, from_json, written_whole
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
@@ -91,6 +91,8 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     if not path.is_file():
         raise TrainingError(f"{folder} holds no {CHECKPOINT} to resume from")
     try:
+        with path.open("rb") as file:
+            check_unpacked(file)
         # To the CPU: a run on a GPU may go on without one.
         document = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.observation import layout, normaliser, policy_fields
-from maps.files import from_json, written_whole
+from maps.files import read_json, read_limited, written_whole
 from sim.robot import Robot
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 FORMAT = "footstep-policy/1"
 POLICY_FOLDER = Path(__file__).parent / "policies"
+MOST_WEIGHTS_BYTES = 100_000_000
 
 
 class PolicyError(ValueError):
@@ -149,9 +150,9 @@ def load_policy(robot: Robot, path: Path | None = None) -> Policy:
         if not needed.is_file():
             raise PolicyError(f"no policy file {needed}: train one or name another with --policy")
     try:
-        content = path.read_bytes()
+        content = read_limited(path, MOST_WEIGHTS_BYTES)
         tensors = load(content)
-        about = from_json(about_path.read_bytes())
+        about = read_json(about_path)
         offset, scale = (np.array(about["normaliser"][k], float) for k in ("offset", "scale"))
         depth = len(tensors) // 2
         layers = tuple(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from controller.policy import POLICY_FOLDER, PolicyError
-from maps.files import from_json
+from maps.files import read_json
 from planner.robot_model import StepLimits, StepModel
 from sim.robot import Robot
 
@@ -59,8 +59,8 @@ def load_tracking_limits(robot: Robot, policy_path: Path | None = None) -> Track
     if not (path.is_file() and about_path.is_file()):
         return None
     try:
-        values = from_json(path.read_bytes())
-        weights = from_json(about_path.read_bytes())["sha256"]
+        values = read_json(path)
+        weights = read_json(about_path)["sha256"]
         if values.pop("format") != FORMAT:
             raise ValueError(f"its format is not {FORMAT}")
         measured = TrackingLimits(limits=limits_from(values.pop("limits")), **values)

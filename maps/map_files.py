@@ -14,21 +14,18 @@ from __future__ import annotations
 import contextlib
 import json
 import math
-import os
 import re
-import sys
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from maps.files import MOST_YAML_BYTES, from_yaml, read_limited
 from maps.grid import HIGHEST_M, Cell, OccupancyGrid
+from maps.images import ImageError, grey_and_opaque, read_grey_values, read_image
 
 REQUIRED_KEYS = ("image", "resolution", "origin", "negate")
 OPTIONAL_KEYS = ("occupied_thresh", "free_thresh", "mode")
@@ -39,8 +36,6 @@ YAML_SUFFIXES = (".yaml", ".yml")
 UNKNOWN_GREY = 205
 _ROWS = 256  # of a picture that are read at once
 Pose = tuple[float, float, float]
-# Columns, rows and white of a binary PGM or PPM, up to its first byte of pixels.
-_PNM = re.compile(rb"P[56]" + 3 * rb"(?:\s+#[^\n]*)*\s+(\d+)" + rb"\s")
 
 
 class MapError(ValueError):
@@ -80,10 +75,13 @@ def load_map(
     Raises MapError for anything wrong; warns with MapWarning where unknown grey reads as free.
     """
     metadata = find_map(path, resolution_m=resolution_m, origin=origin)
-    grid = grid_from_image(read_image(metadata.image), metadata)
-    if metadata.elevation is None:
-        return grid
-    return replace(grid, elevation_m=_read_elevation(metadata, metadata.elevation, grid.shape))
+    try:
+        grid = grid_from_image(read_image(metadata.image), metadata)
+        if metadata.elevation is None:
+            return grid
+        return replace(grid, elevation_m=_read_elevation(metadata, metadata.elevation, grid.shape))
+    except ImageError as error:
+        raise MapError(str(error)) from None
 
 
 def find_map(
@@ -136,22 +134,6 @@ def yaml_lines(image_name: str) -> str:
     )
 
 
-class _Loader(yaml.SafeLoader):
-    """Refuses a key that is there twice, of which YAML's own would take the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                continue
-            if key.value in seen:
-                raise yaml.MarkedYAMLError(
-                    problem=f"key `{key.value}` is there twice", problem_mark=key.start_mark
-                )
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
 def _at_home(name: str) -> Path:
     """The path of that name; `~` at its beginning is the home folder, where that is known."""
     with contextlib.suppress(RuntimeError):
@@ -162,19 +144,16 @@ def _at_home(name: str) -> Path:
 def read_metadata(file: Path) -> MapMetadata:
     """Contents of a map YAML. Raises MapError naming the key, its value and what would be right."""
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_limited(file, MOST_YAML_BYTES).decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise MapError(
             f"map {file}: cannot be read as text ({' '.join(str(error).split())})"
         ) from None
     try:
         # The map server's own reader takes a tab after the colon for a space.
-        document = yaml.load(re.sub(r"(?m)^(\w+:)[ \t]*\t[ \t]*", r"\1 ", text), _Loader)
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
-        raise MapError(f"map {file}: {line}not valid YAML ({error.problem})") from None
-    except yaml.YAMLError as error:
-        raise MapError(f"map {file}: not valid YAML ({' '.join(str(error).split())})") from None
+        document = from_yaml(re.sub(r"(?m)^(\w+:)[ \t]*\t[ \t]*", r"\1 ", text))
+    except ValueError as error:
+        raise MapError(f"map {file}: {error}") from None
     if not isinstance(document, dict):
         raise MapError(f"map {file}: must hold keys such as `image:` and `resolution:`")
     for key in REQUIRED_KEYS:
@@ -235,8 +214,8 @@ def _elevation_metadata(document: dict[Any, Any], file: Path) -> dict[str, Any]:
 def _read_elevation(
     metadata: MapMetadata, file: Path, shape: tuple[int, int]
 ) -> NDArray[np.float64]:
-    """Heights (H, W) of the floor, row 0 at the smallest y. Raises MapError."""
-    grey, _ = _grey_and_opaque(_decode(file)[0])
+    """Heights (H, W) of the floor, row 0 at the smallest y. Raises MapError, ImageError."""
+    grey = read_grey_values(file)
     if grey.shape != shape:
         (rows, cols), (map_rows, map_cols) = grey.shape, shape
         raise MapError(
@@ -279,75 +258,9 @@ def _origin(value: Any, file: Path) -> Pose:
     return x_m, y_m, yaw_rad
 
 
-def read_image(file: Path) -> NDArray[np.generic]:
-    """Picture (H, W) or (H, W, channels BGR or BGRA), uint8 or uint16. Raises MapError.
-
-    White is the type's largest value: binary PGM files name their own white.
-    """
-    image, data = _decode(file)
-    header = _PNM.match(data) if data.startswith(b"P5") else None
-    full = np.iinfo(image.dtype).max
-    white = int(header[3]) if header else full
-    if white in (0, full):
-        return image
-    return np.rint(np.minimum(image, white) * (full / white)).astype(image.dtype)
-
-
-def _announced_bytes(data: bytes) -> int:
-    """How long a binary PGM or PPM, or a BMP, is by its own header; 0 for others."""
-    if data.startswith(b"BM"):
-        return int.from_bytes(data[2:6], "little")
-    if data.startswith((b"P5", b"P6")) and (header := _PNM.match(data)):
-        cols, rows, white = map(int, header.groups())
-        samples = cols * rows * (3 if data.startswith(b"P6") else 1)
-        return header.end() + samples * (2 if white > 255 else 1)
-    return 0
-
-
-@contextlib.contextmanager
-def _silent_libraries() -> Iterator[None]:
-    """Keeps out of standard error what the image libraries write there by themselves."""
-    sys.stderr.flush()
-    try:
-        kept = os.dup(2)
-    except OSError:  # it is closed
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as nowhere:
-            os.dup2(nowhere.fileno(), 2)
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-
-
-def _decode(file: Path) -> tuple[NDArray[Any], bytes]:
-    """Picture as it is in a file, uint8 or uint16, and the file's bytes. Raises MapError."""
-    try:
-        data = file.read_bytes()
-    except FileNotFoundError:
-        raise MapError(f"map image {file}: no such file") from None
-    except OSError as error:
-        raise MapError(f"map image {file}: cannot be read ({error.strerror})") from None
-    if data.startswith(b"\x89PNG") and b"IEND\xaeB`\x82" not in data[-64:]:
-        raise MapError(f"map image {file}: the PNG is cut off; copy the file again")
-    if data.startswith(b"\xff\xd8") and b"\xff\xd9" not in data[-64:]:
-        raise MapError(f"map image {file}: the JPEG is cut off; copy the file again")
-    if len(data) < _announced_bytes(data):
-        kind = "PGM" if data.startswith(b"P") else "BMP"
-        raise MapError(f"map image {file}: the {kind} is cut off; copy the file again")
-    image = None
-    with contextlib.suppress(cv2.error), _silent_libraries():
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise MapError(f"map image {file}: not an image that can be read (PNG, PGM, BMP, JPEG)")
-    return image, data
-
-
 def grid_from_image(image: NDArray[Any], metadata: MapMetadata) -> OccupancyGrid:
     """Occupancy grid of a picture (H, W[, channels]) read with the metadata's rules."""
-    grey, opaque = _grey_and_opaque(image)
+    grey, opaque = grey_and_opaque(image)
     full = int(np.iinfo(image.dtype).max)
     cell_of = _cell_of_grey(metadata, full)
     cells = np.empty(grey.shape, np.uint8)
@@ -390,19 +303,6 @@ def _cell_of_grey(metadata: MapMetadata, full: int) -> NDArray[np.uint8]:
     cell[known & (occupancy <= metadata.free_thresh)] = Cell.FREE
     cell[known & (occupancy >= metadata.occupied_thresh)] = Cell.OCCUPIED
     return cell
-
-
-def _grey_and_opaque(image: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """Luminance (H, W) in the image's own range, and which pixels are fully opaque; None: all."""
-    opaque = None
-    channels = 1 if image.ndim == 2 else image.shape[2]
-    if channels in (2, 4):
-        opaque = image[..., -1] == np.iinfo(image.dtype).max
-    if channels >= 3:
-        grey = cv2.cvtColor(np.ascontiguousarray(image[..., :3]), cv2.COLOR_BGR2GRAY)
-    else:
-        grey = image.reshape(*image.shape[:2], -1)[..., 0]
-    return grey, opaque
 
 
 YAML, IMAGE, HEIGHTS = "map.yaml", "map", "map_height"

@@ -13,8 +13,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from maps.files import MOST_YAML_BYTES, from_yaml, read_limited
 from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel, check_polygon
 
 FORMAT = "step-model/1"
@@ -134,11 +133,11 @@ def _load_old(path: Path) -> tuple[str, StepModel, tuple[str, ...]]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = from_yaml(read_limited(path, MOST_YAML_BYTES).decode("utf-8"))
     except OSError as error:
         raise StepModelError(f"{path}: cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, ValueError) as error:
-        raise StepModelError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
+    except ValueError as error:
+        raise StepModelError(f"{path}: {error}") from None
     if not isinstance(document, dict):
         raise StepModelError(f"{path}: must hold keys and values, holds {document!r:.40}")
     return {str(key): value for key, value in document.items()}

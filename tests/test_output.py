@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from app.output import (
     write_text,
 )
 from app.workers import in_order, portions
+from maps.files import folder_beside, written_whole
 from tests.programs import ROOT, run_python
 
 
@@ -160,6 +162,36 @@ def test_what_a_killed_process_claimed_is_free(tmp_path):
     claim_folder(tmp_path, option="--out")
     release_folders()
     assert list(tmp_path.iterdir()) == []
+
+
+LEFT = """
+import os, signal, sys
+from pathlib import Path
+from maps.files import folder_beside, written_whole
+with written_whole(Path(sys.argv[1])) as file, folder_beside(Path(sys.argv[2])) as folder:
+    file.write_text("half")
+    (folder / "part").touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_what_a_killed_process_left_goes_when_the_same_is_written_again(tmp_path):
+    file, folder, other = tmp_path / "a.b.json", tmp_path / "bag", tmp_path / ".a.b-my-copy.json"
+    file.write_text("old")
+    other.touch()
+    assert run_python("-c", LEFT, file, folder).returncode == -signal.SIGKILL
+    assert len(list(tmp_path.iterdir())) == 4
+    assert file.read_text() == "old"
+    with folder_beside(folder) as beside, written_whole(file) as ours:
+        with written_whole(tmp_path / "b.json"), written_whole(tmp_path / "a.json"):
+            assert set(tmp_path.iterdir()) > {file, other, beside, ours}
+        # Another process, or thread, that writes the same does not take it for one that was left.
+        with ThreadPoolExecutor() as pool:
+            pool.submit(write_text, file, "theirs").result()
+        assert file.read_text() == "theirs"
+        ours.write_text("new")
+    assert file.read_text() == "new"
+    assert set(tmp_path.iterdir()) == {file, other, tmp_path / "a.json", tmp_path / "b.json"}
 
 
 PLAN = f"{sys.executable} main.py plan --map maps/room.png --goal 0.4,0.1,0"

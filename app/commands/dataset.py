@@ -209,7 +209,8 @@ def wanted_plans(options: DatasetOptions, robot: Robot) -> RandomPlans:
         start = start or ORIGIN
         x, y, yaw = options.goal_x or GOAL_X_M, options.goal_y or GOAL_Y_M, GOAL_YAW_RAD
         corners = (x.low, y.low, 0.0), (x.high, y.high, 0.0)
-        grid = floor_around([*corners, start], robot.step_model)
+        with as_bad_input(ValueError):
+            grid = floor_around([*corners, start], robot.step_model)
     else:
         grid = read_grid(options)
         x0, y0, x1, y1 = grid.bounds_world()

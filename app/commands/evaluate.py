@@ -34,7 +34,7 @@ from app.output import (
 )
 from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import TrackingLimits, tracking_limits_path, tracking_limits_text
-from maps.files import from_json
+from maps.files import read_json
 from sim.robot import Robot
 
 if TYPE_CHECKING:
@@ -284,7 +284,7 @@ def read_beside(folder: Path, robot: str) -> dict[str, Any]:
     """
     path = folder / "evaluation.json"
     try:
-        document = from_json(path.read_bytes())
+        document = read_json(path)
     except OSError as error:
         raise InputError(
             f"--beside: {path} cannot be read ({error.strerror}); give the folder of an evaluation"

@@ -34,7 +34,7 @@ from app.output import ExitCode, InputError, ProgressBar, claim_folder, say, to_
 from app.ros.recording import recording, require_recordable
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
-from maps.files import from_json
+from maps.files import from_json, read_json
 from maps.grid import OccupancyGrid
 from planner.plan import feet_at
 from planner.robot_model import StepModel
@@ -182,7 +182,7 @@ def finished(file: Path, settings: Mapping[str, Any]) -> list[dict[str, Any]]:
         InputError: There is no such file, or its walks depend on something else.
     """
     try:
-        document = from_json(file.read_bytes())
+        document = read_json(file)
         known, trials = document["settings"], list(document["trials"])
         known.keys()
         to_json({"summary": summarise(trials), "trials": trials})

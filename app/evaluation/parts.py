@@ -19,7 +19,7 @@ from app.output import make_folder, to_json, write_text
 from controller.lipm.servos import report_of
 from controller.policy import Policy
 from controller.walker import Controller
-from maps.files import from_json
+from maps.files import read_json
 from sim.robot import Robot
 
 FORMAT = "evaluation-part/3"
@@ -95,7 +95,7 @@ class ResultCache:
     def read(self, part: Part) -> dict[str, Any] | None:
         """A part's result; None where there is none of the same settings."""
         try:
-            document = from_json(self._path(part).read_bytes())
+            document = read_json(self._path(part))
         except (OSError, ValueError):
             return None
         if not isinstance(document, dict) or not isinstance(document.get("result"), dict):

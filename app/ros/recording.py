@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from app.output import InputError, replacing, require_writable
+from maps.files import folder_beside
 
 if TYPE_CHECKING:
     from app.navigation.navigator import Navigator
@@ -127,9 +126,8 @@ def _bag(folder: Path) -> Iterator[Sink]:
     from app.ros.messages import definition, encoded, type_hash
 
     folder.parent.mkdir(parents=True, exist_ok=True)
-    beside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-    try:
-        # The files in a bag are called like its folder.
+    # The files in a bag are called like its folder.
+    with folder_beside(folder) as beside:
         with Writer(beside / folder.name, version=9) as writer:
             connections: dict[str, Any] = {}
 
@@ -146,8 +144,6 @@ def _bag(folder: Path) -> Iterator[Sink]:
 
             yield write
         os.rename(beside / folder.name, folder)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
 
 
 def _qos(is_latched: bool) -> Any:

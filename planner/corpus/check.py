@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from maps.boxes import with_boxes
 from maps.grid import OccupancyGrid
+from maps.images import MOST_PIXELS
 from maps.map_files import MapError, load_map
 from planner.corpus.corpus import MANIFEST, Corpus, CorpusError
 from planner.plan import FootstepPlan, PlanStatus, finite_pose
 from planner.robot_model import StepModel
 from planner.verify import violations
-
-# A floor of so many cells takes 100 MB.
-_MOST_CELLS = 100_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +92,8 @@ def rules_of(folder: Path, corpus: Corpus) -> Rules:
 
 def _floor(document: Mapping[str, Any]) -> OccupancyGrid:
     rows, cols = int(document["rows"]), int(document["cols"])
-    if not 0 < rows * cols <= _MOST_CELLS or rows < 1:
-        raise ValueError(f"floor {rows} x {cols} must have from 1 to {_MOST_CELLS} cells")
+    if not 0 < rows * cols <= MOST_PIXELS or rows < 1:
+        raise ValueError(f"floor {rows} x {cols} must have from 1 to {MOST_PIXELS} cells")
     return OccupancyGrid(
         cells=np.zeros((rows, cols), np.uint8),
         resolution_m=float(document["resolution_m"]),

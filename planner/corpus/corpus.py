@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,12 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maps.files import from_json, written_whole
+from maps.files import check_unpacked, read_json, read_limited, written_whole
 from planner.plan import FootstepPlan, PlanStatus, feet_at, relative_steps
 from planner.robot_model import StepModel
 
 FORMAT = "footstep-corpus/1"
 PLANS, MANIFEST = "plans.npz", "manifest.json"
+MOST_PLANS_BYTES = 2_000_000_000
 # Type and shape of each array: n plans, m steps, k obstacles for each plan, o offsets.
 _ARRAYS: Mapping[str, tuple[Any, str]] = {
     "offsets": (np.int64, "o"),
@@ -201,18 +203,13 @@ class Corpus:
         """
         manifest = _read_manifest(folder)
         try:
-            plans = (folder / PLANS).read_bytes()
+            plans = read_limited(folder / PLANS, MOST_PLANS_BYTES)
         except OSError as error:
             raise CorpusError(f"{folder} is no corpus: {PLANS}: {error.strerror}") from None
         if not even_if_changed and hashlib.sha256(plans).hexdigest() != manifest.get("sha256"):
             raise CorpusError(f"{folder}: {PLANS} is not the file that {MANIFEST} was written for")
         try:
-            with np.load(io.BytesIO(plans), allow_pickle=False) as arrays:
-                return Corpus(
-                    **{name: arrays[name] for name in _ARRAYS},
-                    robot=str(manifest["robot"]),
-                    manifest=manifest,
-                )
+            return Corpus(**_from_npz(plans), robot=str(manifest["robot"]), manifest=manifest)
         except KeyError as error:
             raise CorpusError(f"{folder} is no corpus: {error} is missing") from None
         except CorpusError:
@@ -220,6 +217,34 @@ class Corpus:
         # What numpy and zipfile raise on damaged archives is of many kinds.
         except Exception as error:
             raise CorpusError(f"{folder} is no corpus: {PLANS}: {error}") from None
+
+
+def _from_npz(plans: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays in the bytes of an npz file.
+
+    Raises whatever numpy and zipfile raise on damaged archives, before memory is taken for what
+    an archive or the header of an array only claims to hold.
+    """
+    check_unpacked(io.BytesIO(plans))
+    with zipfile.ZipFile(io.BytesIO(plans)) as archive:
+        missing = {f"{name}.npy" for name in _ARRAYS} - set(archive.namelist())
+        if missing:
+            raise KeyError(min(missing))
+        return {name: _array_of(archive.read(f"{name}.npy")) for name in _ARRAYS}
+
+
+def _array_of(member: bytes) -> NDArray[Any]:
+    """The array in the bytes of an npy file. Raises ValueError if its header says more or less."""
+    file = io.BytesIO(member)
+    is_first = np.lib.format.read_magic(file) == (1, 0)
+    form = np.lib.format
+    header = form.read_array_header_1_0 if is_first else form.read_array_header_2_0
+    shape, _, kind = header(file)
+    claimed, held = math.prod(shape) * kind.itemsize, len(member) - file.tell()
+    if claimed != held or not kind.itemsize:
+        raise ValueError(f"an array {shape} of {kind} takes {claimed} bytes, there are {held}")
+    file.seek(0)
+    return form.read_array(file, allow_pickle=False)
 
 
 def corpus_of(plans: list[FootstepPlan], robot: str, box: ArrayLike | None = None) -> Corpus:
@@ -244,7 +269,7 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise CorpusError(f"{folder} is no corpus: it is not a folder")
     try:
-        manifest = from_json((folder / MANIFEST).read_bytes())
+        manifest = read_json(folder / MANIFEST)
     except (OSError, ValueError) as error:
         told = error.strerror if isinstance(error, OSError) else error
         raise CorpusError(f"{folder} is no corpus: {MANIFEST}: {told}") from None

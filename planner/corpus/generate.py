@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from maps.boxes import with_boxes
 from maps.grid import OccupancyGrid
+from maps.images import MOST_PIXELS
 from planner.collision import Terrain, terrain_of
 from planner.endpoints import what_blocks
 from planner.options import PlannerOptions
@@ -70,11 +71,20 @@ class Drawn:
 
 
 def floor_around(poses: Sequence[Pose], model: StepModel) -> OccupancyGrid:
-    """An empty floor around pair poses, with room to turn on all sides."""
+    """An empty floor around pair poses, with room to turn on all sides.
+
+    Raises ValueError where it would have more cells than a map may have pixels.
+    """
     xy = np.array([pose[:2] for pose in poses])
     margin_m = _ROOM_M + _body_radius_m(model)
     low = np.floor((xy.min(axis=0) - margin_m) / RESOLUTION_M)
     high = np.ceil((xy.max(axis=0) + margin_m) / RESOLUTION_M)
+    if float(np.prod(high - low)) > MOST_PIXELS:
+        x_m, y_m = (high - low) * RESOLUTION_M
+        raise ValueError(
+            f"a floor of {x_m:.4g} m x {y_m:.4g} m is too large: at most {MOST_PIXELS} cells "
+            f"of {RESOLUTION_M:g} m"
+        )
     cols, rows = (high - low).astype(int)
     x_m, y_m = (float(v) for v in low * RESOLUTION_M)
     return OccupancyGrid(
