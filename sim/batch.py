@@ -53,6 +53,13 @@ class Variation:
         self._batch.set_const()
 
 
+def _leave_unsaid(_warning: str) -> None:
+    """In place of MuJoCo's own: that prints, and writes MUJOCO_LOG.TXT into the working folder.
+
+    What a warning is about shows in `SimBatch.failed`, or in how the robot walks.
+    """
+
+
 _BAD_STATE = [
     int(warning)
     for warning in (
@@ -102,6 +109,8 @@ class SimBatch:
                 f"control period {control_period_s} s is not a whole number of physics steps "
                 f"of {timestep_s} s"
             )
+        if mujoco.get_mju_user_warning() is None:
+            mujoco.set_mju_user_warning(_leave_unsaid)
         self.scene = scene
         self.count = count
         self.substeps = substeps
