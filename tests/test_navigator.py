@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from app.commands.trials import TrialsOptions, draw_trials, summarise, table, walk_one
-from app.navigation.live_navigator import LiveNavigator
+from app.navigation.live_navigator import LiveNavigator, Replanner, WalkHistory
 from app.navigation.navigator import Navigator, NavigatorConfig
+from app.navigation.planner_process import PlannerProcess
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
 from controller.policy import Policy, load_policy
@@ -360,6 +361,42 @@ def test_a_robot_that_stops_keeps_to_the_height_of_its_tread():
     assert isinstance(stop, FootstepPlan)
     assert len(stop) == 1 < len(plan)
     assert stop.pose_world[0, 2] == 0.6
+
+
+class SlowPlanner(PlannerProcess):
+    """Takes questions and has no answer yet."""
+
+    def __init__(self):
+        self.number = 0
+
+    def ask(self, *, once=False, **_):
+        self.number += 1
+        return self.number
+
+    def answers(self):
+        return []
+
+
+def test_a_live_robot_does_not_walk_on_onto_what_is_put_before_it():
+    grid, start, goal = empty_map(), (0.0, 0.0, 0.0), (2.0, 0.0, 0.0)
+    live = LiveNavigator(grid, ROBOT, load_policy(ROBOT), start=start, goal=goal)
+    replanner = Replanner(SlowPlanner(), WalkHistory(), live)
+    plan = Planner(grid, ROBOT.step_model).plan(start=start, goal=goal)
+    live.tick()
+    live.go(goal, plan, live.replan_point(), fresh=True)
+    while len(live.placed) < 3:
+        live.tick()
+    x_m = float(live.qpos[-1][0])
+    wall = with_wall(grid, x_m + 0.75, -1.0, x_m + 1.0, 1.0)  # beyond the step that has begun
+    live.set_grid(wall, Planner(wall, ROBOT.step_model))
+    replanner.plan_anew()
+    for _ in range(200):
+        live.tick()
+    assert not live.has_ended, live.reason
+    assert replanner.question is not None
+    assert replanner.question.goal == goal
+    toe_m = ROBOT.step_model.foot.length_m / 2
+    assert max(placed.placed_world[0] for placed in live.placed) + toe_m < x_m + 0.75
 
 
 def test_trials_are_drawn_on_level_ground_only():

@@ -115,6 +115,18 @@ class LiveNavigator(Navigator):
             self._follow(plan, wait_ticks=0, walking=False)
         return True
 
+    def may_go_on(self) -> bool:
+        """Whether the step after the present one would end where the robot may stand."""
+        replan_point = self.replan_point()
+        if replan_point.first_side is None:
+            return True
+        feet = replan_point.feet_world.copy()
+        following = self.walker.cursor.window[0, 1]
+        if self.waiting is not None and len(self.waiting):
+            following = self.waiting.pose_world[0]
+        feet[replan_point.first_side] = following
+        return self._footing.may_stand(feet)
+
     def halt(self) -> None:
         """Puts the feet side by side as soon as it can, and stands there."""
         replan_point = self.replan_point()
@@ -317,12 +329,19 @@ class Replanner:
             self._ask_again(self.question)
 
     def plan_anew(self) -> None:
-        """What was asked is asked again, and what is walked is planned again."""
+        """What was asked is asked again, and what is walked is planned again.
+
+        Meanwhile the robot walks on, but not onto what is there now.
+        """
         navigator = self.navigator
+        is_led = navigator.going and not (navigator.halted or navigator.has_ended)
+        goal = finite_pose(navigator.goal)
+        if is_led and not navigator.may_go_on():
+            navigator.halt()
         if self.question is not None:
             self._ask_again(self.question)
-        elif navigator.going and not (navigator.halted or navigator.has_ended):
-            self.ask(finite_pose(navigator.goal), fresh=False)
+        elif is_led:
+            self.ask(goal, fresh=False)
 
     def stop(self) -> None:
         """Has the robot stand still as soon as possible."""
