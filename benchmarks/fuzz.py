@@ -13,14 +13,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import random
-import resource
 import shutil
-import signal
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
@@ -32,6 +28,7 @@ import tyro
 
 from app.cli import COMMANDS, load_run, main
 from app.output import ExitCode
+from benchmarks.copies import Answer, run_copy
 from benchmarks.damage import ODD, damaged, odd_json, odd_picture, odd_yaml
 from controller.policy import POLICY_FOLDER
 from planner.plan import FootstepPlan
@@ -260,87 +257,21 @@ def prepare(folder: Path) -> None:
         _KEPT[Path(file).name] = (folder / file).read_bytes()
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a command answered: exit code, None if it was ended; what it wrote; what it took."""
-
-    code: int | None
-    out: str
-    err: str
-    cpu_s: float
-    memory_mb: float
-
-
 def run(words: Sequence[str], folder: Path) -> Answer:
-    """Runs a command line in a copy of this process, in the folder."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1000
-    child = os.fork()
-    if child == 0:
-        code = 70
-        with contextlib.suppress(BaseException):
-            _become(folder)
-            code = 71
-            code = _carry_out(words)
-        os._exit(code)
-    ended = False
-    began = time.monotonic()
-    while True:
-        pid, status, used = os.wait4(child, os.WNOHANG)
-        if pid:
-            break
-        if not ended and (time.monotonic() - began > 60 or _cpu_s(child) > ACCEPTED_S):
-            ended = True
-            os.killpg(child, signal.SIGKILL)
-        time.sleep(0.002)
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # what it left behind
-    out, err = ((folder.parent / name).read_text(errors="replace") for name in ("out", "err"))
-    answered = None if ended else os.waitstatus_to_exitcode(status)
-    cpu_s, memory_mb = used.ru_utime + used.ru_stime, used.ru_maxrss / 1000 - before_mb
-    return Answer(answered, out, err, cpu_s, memory_mb)
+    """What a copy of this process answers to a command line, or to a plan, in the folder."""
+    if words[0] == "(plan)":
+        return run_copy(lambda: read_plan(Path(words[1])), folder, accepted_s=ACCEPTED_S)
+    return run_copy(lambda: main(words), folder, accepted_s=ACCEPTED_S)
 
 
-def _cpu_s(process: int) -> float:
-    """Processor time of a process that may have ended."""
-    with contextlib.suppress(OSError, IndexError):
-        fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    return 0.0
-
-
-def _become(folder: Path) -> None:
-    """Gives this process, the copy, a group, streams and a working folder of its own."""
-    os.setpgid(0, 0)
-    os.chdir(folder)
-    for number, name in ((1, "out"), (2, "err")):
-        file = os.open(folder.parent / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
-        os.dup2(file, number)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-
-
-def _carry_out(words: Sequence[str]) -> int:
+def read_plan(path: Path) -> int:
+    """Reads a plan as programs do, and tells of it as a command would."""
     try:
-        if words[0] == "(plan)":
-            try:
-                FootstepPlan.from_json(Path(words[1]).read_bytes().decode("utf-8", "replace"))
-            except ValueError as error:
-                print(f"error: {error}", file=sys.stderr)
-                return 2
-            return 0
-        return main(words)
-    except SystemExit as leaving:
-        return leaving.code if isinstance(leaving.code, int) else 1
-    except BaseException:
-        import traceback
-
-        traceback.print_exc()
-        return 1
-    finally:
-        with contextlib.suppress(OSError, ValueError):
-            sys.stdout.flush()
-            sys.stderr.flush()
+        FootstepPlan.from_json(path.read_bytes().decode("utf-8", "replace"))
+    except ValueError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return ExitCode.BAD_INPUT
+    return ExitCode.DONE
 
 
 def fault(answer: Answer) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from app.output import ExitCode, one_line
-from benchmarks.fuzz import Answer, fault
+from benchmarks.copies import Answer
+from benchmarks.fuzz import fault
 from maps.files import from_json
 from tests.programs import run_python
 
