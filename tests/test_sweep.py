@@ -57,6 +57,8 @@ def test_file_without_lists_is_one_run(tmp_path):
         ("resume: true", "resume is for the sweep to set"),
         ("robot: [jvrc1, nobody]", "nobody"),
         ("rise: [0.1, 0.9]", "0.9 m is not from 0.02 to 0.15 m"),
+        (f"seed: {list(range(40))}\nsamples: {list(range(1, 31))}", "asks for 1200 runs"),
+        ("seed: &a [0]\nsamples: *a", "an alias"),
         ("corpus: [a/b, a_b]", "two runs would have the folder corpus-a_b"),
     ],
 )

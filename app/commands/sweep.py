@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +13,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
-import yaml
 
 from app.cluster import ClusterOption
 from app.commands import train
@@ -30,7 +30,7 @@ from app.output import (
     write_text,
 )
 from app.workers import in_order
-from maps.files import from_json
+from maps.files import MOST_YAML_BYTES, from_yaml, read_json, read_limited
 from planner.corpus.corpus import MANIFEST
 
 FORMAT = "training-sweep/1"
@@ -43,6 +43,7 @@ HEADS = ("run", "best at", "fell", "feet, median / p95", "rise", "stairs, plain 
 OWN_OPTIONS = ("out", "resume", "workers")
 # A training keeps about two cores busy: the physics and the networks take turns.
 CORES_EACH = 2
+MOST_RUNS = 1000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,10 +129,10 @@ def read_sweep(file: Path) -> dict[str, str | list[str]]:
         InputError: The file cannot be read, or holds something else.
     """
     try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+        document = from_yaml(read_limited(file, MOST_YAML_BYTES).decode("utf-8"))
     except OSError as error:
         raise InputError(f"{file} cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(f"{file} is no YAML: {one_line(error)}") from None
     if not isinstance(document, dict) or not document:
         raise InputError(f"{file} must hold options of train, such as the line seed: [0, 1, 2]")
@@ -155,10 +156,12 @@ def runs_of(file: Path, values: Mapping[str, str | list[str]], out: Path) -> lis
     """A run for every combination of the values, named by the options that have a list.
 
     Raises:
-        InputError: `train` would refuse the options of one of them.
+        InputError: `train` would refuse the options of one of them, or there are too many.
     """
     runs: list[Run] = []
     choices = [value if isinstance(value, list) else [value] for value in values.values()]
+    if (count := math.prod(map(len, choices))) > MOST_RUNS:
+        raise InputError(f"{file} asks for {count} runs, at most {MOST_RUNS}: give fewer values")
     for words in itertools.product(*choices):
         settings = dict(zip(values, words, strict=True))
         listed = [f"{key}-{settings[key]}" for key in values if isinstance(values[key], list)]
@@ -183,7 +186,7 @@ def runs_of(file: Path, values: Mapping[str, str | list[str]], out: Path) -> lis
 def finished(one: Run) -> dict[str, Any] | None:
     """What a run of the same settings left when it had ended; None if it has not."""
     try:
-        document = from_json((one.options.out / RUN).read_bytes())
+        document = read_json(one.options.out / RUN)
     except (OSError, ValueError):
         return None
     ours = {"format": RUN_FORMAT, "settings": dict(one.settings)}
@@ -233,7 +236,7 @@ def result_of(one: Run) -> dict[str, Any]:
     """What is known of the best policy in the folder of a run that has ended."""
     from app.evaluation.parts import finite
 
-    about = from_json((one.options.out / f"{one.options.robot}.json").read_bytes())["trained"]
+    about = read_json(one.options.out / f"{one.options.robot}.json")["trained"]
     names = ("samples", "rise_m", "assessed", "assessed_stairs")
     return {
         "outcome": TRAINED,
