@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,14 @@ _SHAPES = ("foot", "body", "limits", "steps")
 _LIMITS = tuple(field.name for field in dataclasses.fields(StepLimits))
 _NUMBERS = tuple(f.name for f in dataclasses.fields(StepModel) if f.name not in _SHAPES)
 _NEEDED = ("foot", "body", "limits", "steps", "stance_width_m")
+_OLD_SHAPE = {
+    *("accuracy/collision_check", "accuracy/cell_size", "accuracy/num_angle_bins"),
+    *("step_cost", "diff_angle_cost", "step_range/x", "step_range/y"),
+    *("foot/size/x", "foot/size/y", "foot/size/z", "foot/separation"),
+    *("foot/origin_shift/x", "foot/origin_shift/y"),
+    *(f"foot/max/{which}step/{axis}" for which in ("", "inverse/") for axis in ("x", "y", "theta")),
+    *("footsteps/x", "footsteps/y", "footsteps/theta"),
+}
 # What the old package's files say of its search, which this one's options say in their own way.
 _OLD_SEARCH = {
     *("planner_type", "heuristic_type", "heuristic_scale", "allocated_time", "initial_epsilon"),
@@ -40,8 +48,10 @@ def load_step_model(path: Path) -> tuple[str, StepModel, tuple[str, ...]]:
     Raises:
         StepModelError: The file cannot be read, a key is missing or unknown, or a value is wrong.
     """
-    if path.name.startswith(_OLD_NAMES):
-        return _load_old(path)
+    if is_old(path):
+        both = read_old(path)
+        name = path.stem.removeprefix(_prefix(path))
+        return name, old_step_model(both, path), unknown_old_keys(both)
     document = _read(path)
     if document.get("format") != FORMAT:
         raise StepModelError(
@@ -75,13 +85,49 @@ def load_step_model(path: Path) -> tuple[str, StepModel, tuple[str, ...]]:
     return str(document.get("name", path.stem)), model, ()
 
 
-def _load_old(path: Path) -> tuple[str, StepModel, tuple[str, ...]]:
-    prefix = next(prefix for prefix in _OLD_NAMES if path.name.startswith(prefix))
-    name = path.stem.removeprefix(prefix)
+def read_old(path: Path) -> dict[str, Any]:
+    """The keys of both files of the old package's pair, given either name.
+
+    Raises:
+        StepModelError: A file cannot be read.
+    """
+    name = path.name.removeprefix(_prefix(path))
     document: dict[str, Any] = {}
     for prefix in _OLD_NAMES:
-        document |= _read(path.with_name(f"{prefix}{name}{path.suffix}"))
-    known = {"accuracy", "foot", "footsteps", "step_range", "step_cost", "diff_angle_cost"}
+        document |= _read(path.with_name(f"{prefix}{name}"))
+    return document
+
+
+def is_old(path: Path) -> bool:
+    """Whether a file is one of the old package's pair, by its name."""
+    return path.name.startswith(_OLD_NAMES)
+
+
+def _prefix(path: Path) -> str:
+    return next(prefix for prefix in _OLD_NAMES if path.name.startswith(prefix))
+
+
+def unknown_old_keys(document: Mapping[str, Any]) -> tuple[str, ...]:
+    """Keys that the old package did not have, such as foot/sise, in alphabetical order."""
+
+    def leaves(within: str, value: Any) -> Iterator[str]:
+        if not isinstance(value, Mapping) or not value:
+            yield within
+            return
+        for key, inner in value.items():
+            yield from leaves(f"{within}/{key}" if within else str(key), inner)
+
+    return tuple(sorted(set(leaves("", document)) - _OLD_SHAPE - _OLD_SEARCH - {""}))
+
+
+def old_step_model(document: Mapping[str, Any], path: Path) -> StepModel:
+    """The step model in parameters of the old package.
+
+    path: the file, or the namespace of ROS, that they are from; errors name it.
+
+    Raises:
+        StepModelError: A key is missing, or a value is wrong.
+    """
     _check_keys(path, "", document, needed=("foot", "footsteps"))
 
     def number(*keys: str, default: float | None = None) -> float:
@@ -110,7 +156,7 @@ def _load_old(path: Path) -> tuple[str, StepModel, tuple[str, ...]]:
         reach_m = _counter_clockwise(reach_m)
         _made(path, lambda: check_polygon("step_range", reach_m))
     bins = number("accuracy", "num_angle_bins", default=64)
-    model = _made(
+    return _made(
         path,
         lambda: StepModel(
             foot=FootShape(length_m=length_m, width_m=width_m),
@@ -128,7 +174,6 @@ def _load_old(path: Path) -> tuple[str, StepModel, tuple[str, ...]]:
             headings=_whole(path, "accuracy/num_angle_bins", bins),
         ),
     )
-    return name, model, tuple(sorted(set(document) - known - _OLD_SEARCH))
 
 
 def _read(path: Path) -> dict[str, Any]:
