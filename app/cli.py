@@ -107,8 +107,9 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
     is a fault of the program and keeps its traceback.
     """
     _open_streams()
+    stops: list[type[KeyboardInterrupt]] = []
     try:
-        with _warnings_in_one_line(), _terminable(), contextlib.ExitStack() as at_end:
+        with _warnings_in_one_line(), _stoppable(stops), contextlib.ExitStack() as at_end:
             at_end.callback(release_folders)
             code = _dispatch(list(arguments), program)
             sys.stdout.flush()
@@ -118,23 +119,33 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
         told, colon, lines = str(error).partition(":\n")
         _tell(f"error: {one_line(told)}{colon}{lines}")
         return ExitCode.BAD_INPUT
-    except _Terminated:
-        _tell("terminated")
-        return ExitCode.TERMINATED
-    except KeyboardInterrupt:
-        _tell("interrupted")
-        return ExitCode.INTERRUPTED
+    except KeyboardInterrupt as stop:
+        return _stopped(type(stop))
     except BrokenPipeError:
         # The reader of our output (head, say) has left.
         _leave_output()
         return ExitCode.DONE
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            if stops:
+                return _stopped(stops[0])
             raise
         where = error.filename or "standard output"
         _tell(f"error: cannot write {where}: {error.strerror}")
         _leave_output()
         return ExitCode.BAD_INPUT
+    except Exception:
+        # A library that is being imported makes an ImportError of what a signal raises in it.
+        if stops:
+            return _stopped(stops[0])
+        raise
+
+
+def _stopped(by: type[KeyboardInterrupt]) -> int:
+    """Tells that a signal has stopped the command; the exit code."""
+    is_term = issubclass(by, _Terminated)
+    _tell("terminated" if is_term else "interrupted")
+    return ExitCode.TERMINATED if is_term else ExitCode.INTERRUPTED
 
 
 def _leave_output() -> None:
@@ -203,20 +214,28 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """Lets SIGTERM raise `_Terminated`, in the one thread that can be told of signals."""
+def _stoppable(stops: list[type[KeyboardInterrupt]]) -> Iterator[None]:
+    """Lets SIGTERM raise `_Terminated` as Ctrl-C raises KeyboardInterrupt, and notes both.
+
+    In the one thread that can be told of signals; where Ctrl-C is ignored it stays so.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def terminate(number: int, frame: object) -> None:
-        raise _Terminated
+    def stop(number: int, frame: object) -> None:
+        stops.append(_Terminated if number == signal.SIGTERM else KeyboardInterrupt)
+        raise stops[-1]
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGTERM, stop)
+    if before[signal.SIGINT] is signal.default_int_handler:
+        signal.signal(signal.SIGINT, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 @contextlib.contextmanager
