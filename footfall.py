@@ -101,11 +101,11 @@ def load_robot(name: str = "jvrc1", policy: str | Path | None = None) -> Robot:
     """The robot of that name, with the step limits and margins measured of its policy.
 
     Args:
-        name: One of `robot_names()`.
+        name: One of `robot_names()`, or the folder of a robot file.
         policy: Who walks, if not the robot's own policy.
 
     Raises:
-        ValueError: There is no such robot, or what was measured cannot be read.
+        ValueError: There is no such robot, its file is wrong, or what was measured cannot be read.
     """
     return with_tracking_limits(get_robot(name), None if policy is None else Path(policy))
 
@@ -203,8 +203,9 @@ def make_env(robot: str = "jvrc1", *, num_envs: int | None = None, **options: An
     """
     import gymnasium
 
-    from controller.gym_env import environment_id
+    from controller.gym_env import environment_id, register
 
+    register(robot)
     name = environment_id(robot)
     if num_envs is None:
         return gymnasium.make(name, **options)

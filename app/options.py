@@ -363,7 +363,7 @@ class RobotOptions:
     """Which robot, and who moves it."""
 
     robot: RobotName = "jvrc1"
-    """Which robot, such as jvrc1."""
+    """Which robot, such as jvrc1, or the folder of a robot file, such as robots/talos."""
 
     policy: OptionalFile = None
     """The policy that walks, such as runs/train/jvrc1.safetensors; none: the robot's own."""

@@ -130,6 +130,7 @@ def _layout(robot: Robot) -> dict[str, Any]:
         "observation": layout(policy_fields(robot)),
         "critic": layout(critic_fields()),
         "joints": [joint.name for joint in robot.joints],
+        **({"robot_digest": robot.digest} if robot.digest else {}),
     }
 
 

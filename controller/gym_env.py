@@ -7,6 +7,7 @@ are those of `WalkTask`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -183,8 +184,8 @@ class GymTask(WalkTask):
 
 
 def environment_id(robot: str) -> str:
-    """The id of a robot's environment, such as Footfall/Jvrc1-v0."""
-    return f"Footfall/{robot.capitalize()}-v{VERSION}"
+    """The id of a robot's environment, such as Footfall/Jvrc1-v0; of a robot file's folder too."""
+    return f"Footfall/{re.sub(r'[^A-Za-z0-9_.-]+', '_', robot).capitalize()}-v{VERSION}"
 
 
 class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -257,9 +258,9 @@ class WalkEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._task.close()
 
 
-def register() -> None:
-    """Register an environment for every robot that can be built here."""
-    for name in robot_names():
+def register(*robots: str) -> None:
+    """Register environments of these robots, by default of all that can be built here."""
+    for name in robots or robot_names():
         if environment_id(name) not in gymnasium.registry:
             gymnasium.register(
                 environment_id(name),

@@ -95,6 +95,11 @@ class Policy:
         return np.asarray(values @ weight.T + bias, dtype=np.float64)
 
 
+def own_policy_path(robot: Robot) -> Path:
+    """Where the robot's own policy is: among those that come along, or beside the robot's file."""
+    return (robot.folder or POLICY_FOLDER) / f"{robot.name}.safetensors"
+
+
 def policy_for(
     robot: Robot, layers: tuple[tuple[np.ndarray, np.ndarray], ...], **about: Any
 ) -> Policy:
@@ -106,6 +111,7 @@ def policy_for(
         "robot": robot.name,
         "joints": [joint.name for joint in robot.joints],
         "observation": layout(fields),
+        **({"robot_digest": robot.digest} if robot.digest else {}),
         **about,
     }
     return Policy(layers=layers, offset=offset, scale=scale, about=facts)
@@ -144,7 +150,7 @@ def load_policy(robot: Robot, path: Path | None = None) -> Policy:
     from safetensors import SafetensorError
     from safetensors.numpy import load
 
-    path = path or POLICY_FOLDER / f"{robot.name}.safetensors"
+    path = path or own_policy_path(robot)
     about_path = path.with_suffix(".json")
     for needed in (path, about_path):
         if not needed.is_file():
@@ -192,6 +198,15 @@ def _check(robot: Robot, path: Path, policy: Policy, digest: str) -> None:
     if [weight.shape for weight, _ in layers] != wanted or widths[-1] != outputs or not layers:
         raise PolicyError(
             f"policy {path} does not fit: it maps {widths} numbers, {inputs} must become {outputs}"
+        )
+    known = about.get("robot_digest", robot.digest)
+    if known != robot.digest:
+        mine = f"that of {robot.option}" if robot.digest else f"the {robot.name} that comes along"
+        raise PolicyError(
+            f"policy {path} does not fit: it was trained for the robot file of {robot.name} with "
+            f"the digest {str(known)[:12]}, which is not {mine}"
+            + (f", {robot.digest[:12]}" if robot.digest else "")
+            + "; take that file back, or train for this one"
         )
     arrays = [*(array for layer in layers for array in layer), policy.offset, policy.scale]
     if not all(np.isfinite(array).all() for array in arrays):

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from controller.policy import POLICY_FOLDER, PolicyError
+from controller.policy import PolicyError, own_policy_path
 from maps.files import read_json
 from planner.robot_model import StepLimits, StepModel
 from sim.robot import Robot
@@ -37,10 +37,9 @@ class TrackingLimits:
     evidence: dict[str, Any] = field(default_factory=dict)
 
 
-def tracking_limits_path(policy_path: Path | None, robot: Robot) -> Path:
+def tracking_limits_path(path: Path | None, robot: Robot) -> Path:
     """Path of the tracking limits of a policy, by default of the robot's own."""
-    policy_path = policy_path or POLICY_FOLDER / f"{robot.name}.safetensors"
-    return policy_path.with_suffix(".measured.json")
+    return (path or own_policy_path(robot)).with_suffix(".measured.json")
 
 
 def tracking_limits_text(measured: TrackingLimits) -> str:

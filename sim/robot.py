@@ -1,16 +1,18 @@
 """What is special about one robot: a value that names it, and the rules its model keeps to.
 
-A robot is one file in `sim/robots/` that defines `ROBOT`. Its `build()` returns an `MjSpec` that
-keeps to the names in docs/adding-a-robot.md, so that no other file knows the robot's own. Collision
-geoms are in group 3, visual ones in group 2 (no contacts).
+A robot is a folder with a robot file (`sim/robot_file.py`), or one module in `sim/robots/` that
+defines `ROBOT`. Its `build()` returns an `MjSpec` that keeps to the names in
+docs/robot-file.md, so that no other file knows the robot's own. Collision geoms are in group 3,
+visual ones in group 2 (no contacts).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +42,8 @@ class LegJoint:
     """One actuated joint: a position servo with torque `kp (target - q) - kd dq`, clipped.
 
     `mirror_sign` is +1 where the joint of the other leg has the same angle in the mirrored
-    posture (pitch), -1 where it has the opposite one (roll, yaw).
+    posture (pitch), -1 where it has the opposite one (roll, yaw). `role` is what a robot file says
+    that it is for, one of `sim/joint_roles.py`.
     """
 
     name: str
@@ -51,6 +54,7 @@ class LegJoint:
     armature_kg_m2: float
     half_sitting_rad: float
     mirror_sign: int
+    role: str = field(default="", compare=False)
 
 
 # Joint, kp, kd, torque limit, speed limit, armature, half-sitting in degrees, mirror sign.
@@ -120,7 +124,8 @@ class Robot:
     that what is planned lies well inside what was learned. None for the same. How far they let a
     step rise is the highest stair that `train` takes. `steady_pressure_share` is above how far
     out, in shares of half a sole, the centre of pressure has to be in walks that nothing disturbs;
-    beyond it a step changes (`controller/recovery.py`).
+    beyond it a step changes (`controller/recovery.py`). A robot from a file has the `folder` that
+    the file is in, where its policy is looked for, and the `digest` of what a policy learns from.
     """
 
     name: str
@@ -138,9 +143,16 @@ class Robot:
     needs: tuple[str, str] | None = None
     training_limits: StepLimits | None = None
     steady_pressure_share: float = 1.1
+    folder: Path | None = None
+    digest: str = ""
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {self.mass_kg:.0f} kg, {len(self.joints)} leg joints)"
+
+    @property
+    def option(self) -> str:
+        """What `--robot` takes for it: a name, or the folder of its file."""
+        return self.name if self.folder is None else str(self.folder)
 
     @property
     def weight_n(self) -> float:

@@ -134,21 +134,25 @@ def add_shapes(
 
 def add_sole(
     foot: mujoco.MjsBody, side: str, sole_m: Vector, size_m: Vector, bits: tuple[int, int]
-) -> None:
+) -> tuple[mujoco.MjsGeom, mujoco.MjsSite]:
     """Adds the sole's box to the body of a foot, and the site in the middle of its underside."""
     centre = (sole_m[0], sole_m[1], sole_m[2] + size_m[2] / 2)
-    add_shape(foot, f"{side}_foot", Box(centre=centre, size=size_m), bits)
-    foot.add_site(name=f"{side}_sole", pos=sole_m)
+    geom = add_shape(foot, f"{side}_foot", Box(centre=centre, size=size_m), bits)
+    return geom, foot.add_site(name=f"{side}_sole", pos=sole_m)
 
 
 def fix_joint(spec: mujoco.MjSpec, joint: mujoco.MjsJoint, angle_rad: float) -> None:
     """Turns the joint's body to the angle and deletes the joint."""
     import mujoco
 
-    turn, held = np.empty(4), np.empty(4)
+    body, anchor = joint.parent, np.asarray(joint.pos, float)
+    turn, held, before, after = np.empty(4), np.empty(4), np.empty(3), np.empty(3)
     mujoco.mju_axisAngle2Quat(turn, np.asarray(joint.axis, float), angle_rad)
-    mujoco.mju_mulQuat(held, np.asarray(joint.parent.quat, float), turn)
-    joint.parent.quat = held
+    mujoco.mju_mulQuat(held, np.asarray(body.quat, float), turn)
+    # The point that the joint turns about stays where it is.
+    mujoco.mju_rotVecQuat(before, anchor, np.asarray(body.quat, float))
+    mujoco.mju_rotVecQuat(after, anchor, held)
+    body.pos, body.quat = body.pos + before - after, held
     spec.delete(joint)
 
 

@@ -44,7 +44,7 @@ from app.output import (
 from app.ros.recording import Recorder, recording, require_recordable
 from app.workers import compile_planner
 from controller.gait import CONTROL_PERIOD_S
-from controller.policy import POLICY_FOLDER
+from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
@@ -165,9 +165,7 @@ def run(options: NavigateOptions) -> int:
         )
         report = navigator.report(
             map=plan.map,
-            policy=None
-            if by_model
-            else PolicyFile.of(options.policy or POLICY_FOLDER / f"{robot.name}.safetensors"),
+            policy=None if by_model else PolicyFile.of(options.policy or own_policy_path(robot)),
             compile_time_s=compiled_s + navigator.compile_time_s,
             wall_time_s=time.perf_counter() - started,
         )

@@ -30,10 +30,12 @@ from app.output import (
     write_text,
 )
 from app.workers import compile_planner
+from maps.yaml_files import YamlFileError
 from planner.options import HEURISTICS, PlannerOptions
 from planner.plan import FootstepPlan
 from planner.robot_model import StepModel
 from planner.step_model_file import StepModelError, load_step_model
+from sim.robot_file import is_robot_file, read_step_model
 
 FIGURE_ENDINGS = (".png", ".jpg", ".jpeg")
 
@@ -134,18 +136,29 @@ def run(options: PlanOptions) -> int:
 def _step_model(options: PlanOptions) -> tuple[str, StepModel]:
     """Whom to plan for: a robot of the project, or a YAML file in its place."""
     file = options.step_model
-    if file is None and options.robot.endswith((".yaml", ".yml")):
+    is_yaml = options.robot.endswith((".yaml", ".yml"))
+    if file is None and is_yaml and not is_robot_file(options.robot):
         file = Path(options.robot)
+    if file is None and is_robot_file(options.robot):
+        with as_bad_input(YamlFileError):
+            planned = read_step_model(options.robot)
+        if planned is not None:
+            _refuse_policy(options)
+            return planned
     if file is None:
         robot = find_robot_with_limits(options.robot, options.policy)
         return robot.name, robot.step_model
-    if options.policy is not None:
-        raise InputError("--policy: a step model from a file has none; leave it out")
+    _refuse_policy(options)
     with as_bad_input(StepModelError):
         name, model, unknown = load_step_model(file)
     if unknown:
         say(f"warning: {file}: unknown keys are left out: {', '.join(unknown)}")
     return name, model
+
+
+def _refuse_policy(options: PlanOptions) -> None:
+    if options.policy is not None:
+        raise InputError("--policy: a step model from a file has none; leave it out")
 
 
 def _search(options: PlanOptions) -> PlannerOptions:

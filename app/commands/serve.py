@@ -62,12 +62,14 @@ def run(options: ServeOptions) -> int:
 
     grid = read_grid(options)
 
+    robot, policy = load_controlled(options, options.controller, "normal")
+    first = robot.option
+
     def load(name: str) -> tuple[Robot, Controller]:
-        policy = options.policy if name == options.robot else None
-        chosen = replace(options, robot=name, policy=policy)
+        chosen = replace(options, robot=name, policy=options.policy if name == first else None)
         return load_controlled(chosen, options.controller, "normal")
 
-    robot, policy = load(options.robot)
+
     _check_start(options, grid, robot)
     maps = maps_that_come_along()
     name = _name_of(options.map, maps)
@@ -87,6 +89,7 @@ def run(options: ServeOptions) -> int:
             options=options.planner_options(),
             seed=options.seed,
             load=load,
+            robots=(first,),
             maps=Maps({name: options.map} | maps, name),
         ) as page:
             page.session.start()

@@ -196,8 +196,8 @@ def chosen_curriculum(options: TrainOptions, robot: Robot) -> Curriculum:
         raise InputError(f"--rise: {options.rise:g} m of rise and --curriculum flat: drop one")
     if not can_climb:
         raise InputError(
-            f"--rise: {robot.title} has no stairs in its step limits (z_m in "
-            f"sim/robots/{robot.name}.py); leave --rise away to train it on flat ground"
+            f"--rise: {robot.title} has no stairs in its step limits (z_m of training_limits, in "
+            "its file); leave --rise away to train it on flat ground"
         )
     if not LEAST_RISE_M <= options.rise <= highest_m:
         raise InputError(
@@ -238,7 +238,7 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
 
     folder = options.corpus or options.out / OWN_CORPUS
     if options.corpus is None and not options.resume:
-        make_corpus(folder, robot.name, options.workers)
+        make_corpus(folder, robot.option, options.workers)
     elif options.corpus is None and not folder.is_dir():
         raise InputError(
             f"--corpus: the run in {options.out} has no {OWN_CORPUS} of its own: "

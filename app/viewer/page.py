@@ -261,13 +261,15 @@ def open_page(
     options: PlannerOptions | None = None,
     seed: int = 0,
     load: Callable[[str], tuple[Robot, Controller]] = load_walker,
+    robots: Sequence[str] = (),
     maps: Maps | None = None,
 ) -> Iterator[Page]:
     """A page about one robot on one map; on leaving, robot, planner and server end.
 
     Neither the robot lives nor is the page drawn until somebody says so: `page.session.start()`,
-    `page.run()`. `load` gives the robots among which the page lets choose, `maps` the maps, if it
-    lets choose any; for names and access see `open_server`.
+    `page.run()`. `load` gives the robots among which the page lets choose: this one, those that
+    come along, and `robots`; `maps` are the maps, if it lets choose any. For names and access see
+    `open_server`.
 
     Raises:
         InputError: The address cannot be had.
@@ -277,7 +279,8 @@ def open_page(
         stack.callback(server.stop)
         session = Session(grid, robot, policy, start=start, goal=goal, options=options, seed=seed)
         stack.callback(session.close)
-        page = Page(server, session, robots=robot_names(), load=load, maps=maps)
+        choice = tuple(dict.fromkeys((*robot_names(), *robots, robot.option)))
+        page = Page(server, session, robots=choice, load=load, maps=maps)
         if page.map_chooser is not None:
             stack.callback(page.map_chooser.close)
         yield page

@@ -87,8 +87,9 @@ class Panel:
             clear = gui.add_button("Remove all boxes")
             clear.on_click(lambda _event: obstacle_editor.clear())
         with gui.add_folder("Robot and planner", expand_by_default=False):
-            robot = gui.add_dropdown("Robot", robots, initial_value=session.setup.robot.name)
-            robot.on_update(lambda _event: set_robot(robot.value))
+            chosen = session.setup.robot.option
+            self.robot = gui.add_dropdown("Robot", robots, initial_value=chosen)
+            self.robot.on_update(lambda _event: set_robot(self.robot.value))
             self._add_planner_options()
         with gui.add_folder("Save", expand_by_default=False):
             for name in ("plan.json", "report.json"):

@@ -1,4 +1,4 @@
-"""The registry of robots: every module in this folder that defines `ROBOT`."""
+"""The registry of robots: every module in this folder that defines `ROBOT`; others by file."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import importlib.util
 import pkgutil
 
 from sim.robot import Robot
+from sim.robot_file import is_robot_file, read_robot
 
 
 def robot_names() -> tuple[str, ...]:
@@ -18,14 +19,19 @@ def robot_names() -> tuple[str, ...]:
 
 
 def get_robot(name: str) -> Robot:
-    """The robot of that name.
+    """The robot of that name, or of the robot file in the folder of that name.
 
     Raises:
-        ValueError: there is no such robot, or its model is not installed; the message lists those
-            there are, or says what to install.
+        ValueError: there is no such robot, its model is not installed, or its file is wrong; the
+            message lists those there are, says what to install, or names the key.
     """
     if name not in _all_names():
-        raise ValueError(f"no robot {name!r}: choose one of {', '.join(robot_names())}")
+        if is_robot_file(name):
+            return read_robot(name)
+        raise ValueError(
+            f"no robot {name!r}: choose one of {', '.join(robot_names())}, or name the folder of a "
+            "robot file, such as robots/talos"
+        )
     robot = _robot(name)
     if robot.needs is not None and not _is_installed(robot):
         raise ValueError(
