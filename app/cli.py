@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any
 
 from app.output import ExitCode, InputError, one_line, release_folders, told_by_one_rank
+from maps.yaml_files import YamlFileError
 
 PROGRAM = "python main.py"
 
@@ -69,6 +70,14 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "be a ROS 2 node: map and goal on topics, a robot that walks there",
             "ros2 --robot jvrc1",
         ),
+        "robot check": Command(
+            "check a robot: what is right, and which key mends what is wrong",
+            "robot check jvrc1",
+        ),
+        "robot draft": Command(
+            "draft a robot file from a URDF or an MJCF",
+            "robot draft talos.urdf --out robots/talos",
+        ),
         "serve": Command(
             "open a web page: click a goal and watch the robot walk there",
             "serve --map maps/room.png",
@@ -114,7 +123,7 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
             code = _dispatch(list(arguments), program)
             sys.stdout.flush()
             return code
-    except InputError as error:
+    except (InputError, YamlFileError) as error:
         # One line, but for a map without its YAML: that message shows the lines to write.
         told, colon, lines = str(error).partition(":\n")
         _tell(f"error: {one_line(told)}{colon}{lines}")
@@ -184,14 +193,14 @@ def _dispatch(arguments: list[str], program: str) -> int:
     if name in ("-h", "--help", "help"):
         print(overview(program))
         return ExitCode.DONE
+    if f"{name} {' '.join(rest[:1])}" in COMMANDS:
+        name, rest = f"{name} {rest[0]}", rest[1:]
     if name not in COMMANDS:
         near = difflib.get_close_matches(name, COMMANDS, n=1)
         guess = f"did you mean {near[0]}? " if near else ""
         raise InputError(
             f"there is no command {name!r}; {guess}the commands are {', '.join(COMMANDS)}"
         )
-    if f"{name} {' '.join(rest[:1])}" in COMMANDS:
-        name, rest = f"{name} {rest[0]}", rest[1:]
     command = COMMANDS[name]
 
     # Here and not above: reading options costs an import that the overview does without.

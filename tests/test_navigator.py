@@ -22,10 +22,10 @@ from maps.map_files import load_map
 from planner.endpoints import Footing
 from planner.plan import FootstepPlan
 from planner.planner import Planner
+from sim.posture import state_at
 from sim.robot import GROUND_PREFIX
 from sim.robots import get_robot
 from sim.scene import min_clearance_m, scene_of
-from tests.scenes import state_at
 
 ROBOT = get_robot("jvrc1")
 

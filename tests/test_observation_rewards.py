@@ -23,9 +23,9 @@ from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import draw_sequence
 from controller.walker import Walker
 from planner.robot_model import FootShape
+from sim.posture import mirrored_qpos, mirrored_qvel
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
-from tests.scenes import mirrored_qpos, mirrored_qvel
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> np.ndarray:

@@ -30,11 +30,11 @@ from app.pictures.rendering import (
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import FootShape, Side
 from sim.gl import NoGlError, prepare_gl
+from sim.posture import standing
 from sim.robot import VISUAL_GROUP
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 from tests.programs import drawn_by, picture_at, run_python
-from tests.scenes import standing
 
 
 def recording_of(xy_yaw: np.ndarray) -> Recording:

@@ -1,0 +1,156 @@
+"""States of a robot in a scene: at rest, mirrored, over given feet; the reach of shapes."""
+
+from __future__ import annotations
+
+import itertools
+
+import mujoco
+import numpy as np
+
+from sim.scene import Scene
+from sim.sensors import SIDES
+
+# In a step, legs without ankle roll lean by this much at most.
+LEAN_RAD = np.radians(8.0)
+# By how much the legs must stay off their joints' ends in every step that is planned.
+SPARE_RAD = np.radians(2.0)
+_ITERATIONS = 30
+_OFF = 1e-4  # m and rad
+
+
+class PostureError(ValueError):
+    """The feet are out of reach; the message says which and how far off they end."""
+
+
+def state_at(scene: Scene, qpos: np.ndarray) -> mujoco.MjData:
+    """A state with all that MuJoCo computes of it."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(scene.model, data)
+    return data
+
+
+def standing(scene: Scene, *, sunk_m: float = 0.0) -> mujoco.MjData:
+    """Half-sitting, lower by so much."""
+    qpos = scene.standing_qpos.copy()
+    qpos[2] -= sunk_m
+    return state_at(scene, qpos)
+
+
+def mirrored_qpos(scene: Scene, qpos: np.ndarray) -> np.ndarray:
+    """The state (nq,) seen in a mirror that lies in the plane y = 0."""
+    index, sign = scene.robot.mirror_joints
+    mirrored = qpos.copy()
+    mirrored[1] *= -1
+    mirrored[[4, 6]] *= -1
+    mirrored[scene.joint_qpos] = sign * qpos[scene.joint_qpos][index]
+    return mirrored
+
+
+def mirrored_qvel(scene: Scene, qvel: np.ndarray) -> np.ndarray:
+    """The velocities (nv,) seen in that mirror."""
+    index, sign = scene.robot.mirror_joints
+    mirrored = qvel.copy()
+    mirrored[[1, 3, 5]] *= -1
+    mirrored[scene.joint_qvel] = sign * qvel[scene.joint_qvel][index]
+    return mirrored
+
+
+def reach_m(scene: Scene, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """Half extents (3,) along the world's axes of a collision shape about its centre.
+
+    Raises:
+        ValueError: It is no box, sphere or capsule.
+    """
+    turn, size = np.abs(data.geom_xmat[geom].reshape(3, 3)), scene.model.geom_size[geom]
+    kind = mujoco.mjtGeom(scene.model.geom_type[geom])
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return turn @ size
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return np.full(3, size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return turn[:, 2] * size[1] + size[0]
+    raise ValueError(f"{scene.model.geom(geom).name} must be a box, sphere or capsule")
+
+
+def posture_over(scene: Scene, feet_world: np.ndarray) -> mujoco.MjData:
+    """Both soles flat on the poses x, y, z, yaw (2, 4), pelvis midway at its walking height.
+
+    Inverse kinematics by damped least squares on MuJoCo's Jacobians, one leg after the other,
+    blind to joint ranges: with six joints to a leg there is one posture near half-sitting. Legs of
+    five joints have no ankle roll: their soles lean as the legs do, by `LEAN_RAD` at most.
+
+    Raises:
+        PostureError: The feet do not get there.
+    """
+    model, data = scene.model, mujoco.MjData(scene.model)
+    middle = feet_world.mean(axis=0)
+    data.qpos[:] = scene.qpos_at(middle[[0, 1, 3]])
+    half = len(scene.robot.joints) // 2
+    to_soles = np.full((2, 6), np.inf)
+    for _ in range(_ITERATIONS):
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        for k, side in enumerate(SIDES):
+            site = model.site(f"{side}_sole").id
+            joints = slice(k * half, (k + 1) * half)
+            jacobian = np.zeros((6, model.nv))
+            mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
+            # All in the foot's own axes: position, roll, pitch, yaw.
+            along = np.kron(np.eye(2), data.site_xmat[site].reshape(3, 3).T)
+            to_soles[k] = along @ to_pose(data, site, feet_world[k])
+            jacobian = along @ jacobian[:, scene.joint_qvel[joints]]
+            task = [0, 1, 2, 4, 5] if half == 5 else range(6)
+            damped = jacobian[task] @ jacobian[task].T + 1e-6 * np.eye(half)
+            move = jacobian[task].T @ np.linalg.solve(damped, to_soles[k, task])
+            data.qpos[scene.joint_qpos[joints]] += 0.5 * move
+    off = np.abs(to_soles) - ([0, 0, 0, LEAN_RAD, 0, 0] if half == 5 else 0)
+    if not off.max() < _OFF:
+        told = feet_world.round(3).tolist()
+        raise PostureError(f"no posture over {told}: off by {off.max():.3f} m or rad")
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def to_pose(data: mujoco.MjData, site: int, pose: np.ndarray) -> np.ndarray:
+    """Way (6,) in m and rad from the site to the level pose x, y, z, yaw."""
+    cos, sin = np.cos(pose[3]), np.sin(pose[3])
+    level = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+    quat, turn = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quat, (level @ data.site_xmat[site].reshape(3, 3).T).ravel())
+    mujoco.mju_quat2Vel(turn, quat, 1.0)
+    return np.concatenate([pose[:3] - data.site_xpos[site], turn])
+
+
+def joint_ranges(scene: Scene) -> np.ndarray:
+    """Low and high end (J, 2) of every joint in rad."""
+    return np.array([scene.model.joint(joint.name).range for joint in scene.robot.joints])
+
+
+def planned_steps(scene: Scene) -> list[tuple[float, float, float]]:
+    """The step set, and the corners of the limits."""
+    model = scene.robot.step_model
+    corners = itertools.product(model.limits.x_m, model.limits.y_m, model.limits.yaw_rad)
+    within = [corner for corner in corners if model.limits.contain(corner)]
+    vertices = ((*at, yaw) for at in model.limits.reach_m for yaw in model.limits.yaw_rad)
+    within += [vertex for vertex in vertices if model.limits.contain(vertex)]
+    return [*model.steps, *within]
+
+
+def step_spare_rad(scene: Scene, step: tuple[float, float, float], swing: int) -> tuple[float, int]:
+    """How far off its end the joint is that comes nearest to one in a step, and which it is.
+
+    Raises:
+        PostureError: The feet are out of reach, or the legs touch.
+    """
+    x, y, yaw = step
+    outward = 1 - 2 * swing
+    feet = np.zeros((2, 4))
+    feet[swing] = [x, outward * y, 0, outward * yaw]
+    data = posture_over(scene, feet)
+    if data.sensordata[scene.sensors.legs_touching][0] > 0:
+        raise PostureError("the legs touch")
+    ranges, angles = joint_ranges(scene), data.qpos[scene.joint_qpos]
+    spare = np.minimum(angles - ranges[:, 0], ranges[:, 1] - angles)
+    worst = int(spare.argmin())
+    return float(spare[worst]), worst
