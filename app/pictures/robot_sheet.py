@@ -1,0 +1,172 @@
+"""A page about a robot: in half-sitting with its joint axes, its soles, and a table of its joints.
+
+For whoever drafts a robot and wants to see what was found. Drawn without a GL library.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+
+from app.output import replacing
+from app.pictures.canvas import BODY, LEFT, RIGHT, FloatArray, hex_of
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from sim.scene import Scene
+
+_WIDTH_IN, _HEIGHT_IN, _DPI = 14.0, 12.0, 110
+_VIEWS = (("from the front", (1, 2), 1), ("from its right", (0, 2), 1), ("from below", (0, 1), 1))
+_AXIS_M = 0.09  # half the length of a joint's axis as it is drawn
+_COLOURS = {"yaw": "#2a7f3f", "roll": "#b03030", "pitch": "#3050b0", "knee": "#3050b0"}
+_COLUMNS = (
+    *("joint, left", "role", "sign", "half-sitting °", "range °", "kp N m/rad", "kd", "torque N m"),
+    *("speed rad/s", "armature kg m²"),
+)
+
+
+def write_robot_sheet(path: Path, robot: Robot, guessed: Sequence[str] = ()) -> None:
+    """Draws the page into an image file, PNG or JPEG.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from sim.posture import standing
+    from sim.scene import build_scene
+
+    scene = build_scene(robot, timestep_s=0.001, visuals=True)
+    data = standing(scene)
+    figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
+    figure.suptitle(
+        f"{robot.title}: {robot.mass_kg:g} kg, {robot.height_m:g} m, pelvis at "
+        f"{robot.pelvis_height_m:g} m in half-sitting"
+    )
+    for column, (title, plane, sign) in enumerate(_VIEWS):
+        axes = figure.add_subplot(grid[0, column])
+        axes.set_title(title)
+        _draw_view(axes, scene, data, plane, sign)
+    _draw_table(figure.add_subplot(grid[1, :]), robot, guessed)
+    content = BytesIO()
+    figure.savefig(content, format="jpg" if path.suffix.lower() in (".jpg", ".jpeg") else "png")
+    with replacing(path) as temporary:
+        temporary.write_bytes(content.getvalue())
+
+
+def _draw_view(
+    axes: Any, scene: Scene, data: mujoco.MjData, plane: tuple[int, int], sign: int
+) -> None:
+    """The robot projected on a plane of the world, x to the right times the sign."""
+    model, flip = scene.model, np.array([sign, 1.0])
+    is_below = plane == (0, 1)
+    for geom in range(model.ngeom):
+        if not model.geom_bodyid[geom] or model.geom_group[geom] not in (
+            PHYSICS_GROUP,
+            VISUAL_GROUP,
+        ):
+            continue
+        name = model.geom(geom).name
+        is_sole = name in ("left_foot", "right_foot")
+        if is_below and not (is_sole or _is_of_foot(model, geom)):
+            continue
+        points = _points(model, data, geom)
+        outline = cv2.convexHull((points[:, plane] * flip).astype(np.float32))[:, 0]
+        if model.geom_group[geom] == VISUAL_GROUP:
+            axes.fill(*outline.T, color="#d8dade", linewidth=0, zorder=1)
+            continue
+        side = LEFT if name.startswith("left_") else RIGHT if name.startswith("right_") else BODY
+        axes.plot(*_closed(outline).T, color=hex_of(side), linewidth=1.0 + is_sole, zorder=3)
+    _draw_axes(axes, scene, data, plane, flip)
+    com = data.body("pelvis").subtree_com[list(plane)] * flip
+    axes.plot(*com, marker="P", color="black", markersize=9, zorder=6)
+    axes.annotate("centre of mass", com, textcoords="offset points", xytext=(6, 6), fontsize=8)
+    if not is_below:
+        axes.axhline(0, color="#888888", linewidth=0.8, zorder=0)
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{'-' if sign < 0 else ''}{'xyz'[plane[0]]}, m")
+    axes.set_ylabel(f"{'xyz'[plane[1]]}, m")
+    if is_below:
+        axes.invert_yaxis()
+
+
+def _is_of_foot(model: mujoco.MjModel, geom: int) -> bool:
+    feet = [model.geom(f"{side}_foot").bodyid[0] for side in ("left", "right")]
+    return bool(model.geom_bodyid[geom] in feet)
+
+
+def _draw_axes(
+    axes: Any, scene: Scene, data: mujoco.MjData, plane: tuple[int, int], flip: FloatArray
+) -> None:
+    """The axis of every joint as a line, or a point where it comes out of the plane."""
+    for joint in scene.robot.joints:
+        of_joint = data.joint(joint.name)
+        kind = (joint.role or "pitch").rpartition("_")[2]
+        ends = np.array([of_joint.xanchor + step * of_joint.xaxis for step in (-_AXIS_M, _AXIS_M)])
+        shown = ends[:, list(plane)] * flip
+        style = {"color": _COLOURS.get(kind, "black"), "zorder": 5}
+        axes.plot(*shown.T, linewidth=1.6, **style)
+        axes.plot(*shown.mean(axis=0), marker="o", markersize=3, **style)
+
+
+def _points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> FloatArray:
+    """Points (n, 3) in the world whose hull is the geom's."""
+    import mujoco
+
+    kind, size = mujoco.mjtGeom(model.geom_type[geom]), model.geom_size[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        local = np.asarray(model.mesh_vert[first : first + count], float)
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        turns = np.linspace(0, math.pi, 9), np.linspace(0, 2 * math.pi, 17)
+        across, around = (grid.ravel() for grid in np.meshgrid(*turns))
+        ball = size[0] * np.column_stack(
+            [np.sin(across) * np.cos(around), np.sin(across) * np.sin(around), np.cos(across)]
+        )
+        local = np.concatenate([ball - np.array([0, 0, size[1]]), ball + np.array([0, 0, size[1]])])
+    else:
+        corners = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
+        local = corners * np.where(size > 0, size, size[0])
+    world: FloatArray = local @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom]
+    return world
+
+
+def _closed(outline: FloatArray) -> FloatArray:
+    return np.concatenate([outline, outline[:1]])
+
+
+def _draw_table(axes: Any, robot: Robot, guessed: Sequence[str]) -> None:
+    from sim.scene import build_scene
+
+    model = build_scene(robot, timestep_s=0.001).model
+    rows = []
+    for joint in robot.joints[: len(robot.joints) // 2]:
+        low, high = np.degrees(model.joint(joint.name).range)
+        rows.append(
+            (
+                *(joint.name, joint.role, f"{joint.mirror_sign:+d}"),
+                f"{math.degrees(joint.half_sitting_rad):.1f}",
+                f"{low:.0f} to {high:.0f}",
+                *(f"{v:g}" for v in (joint.kp, joint.kd, joint.torque_limit_nm)),
+                *(f"{v:.3g}" for v in (joint.speed_limit_rad_s, joint.armature_kg_m2)),
+            )
+        )
+    axes.axis("off")
+    table = axes.table(cellText=rows, colLabels=_COLUMNS, loc="upper center", cellLoc="center")
+    table.auto_set_font_size(False)
+    table.set_fontsize(8)
+    table.auto_set_column_width(list(range(len(_COLUMNS))))
+    lines = ["Guessed:", *(f"- {line}" for line in guessed)] if guessed else []
+    axes.text(0.0, 0.42, "\n".join(lines), va="top", fontsize=8, transform=axes.transAxes)

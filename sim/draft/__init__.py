@@ -1,0 +1,1 @@
+"""A robot file from a published model: what is found by geometry, and what is guessed."""
