@@ -120,10 +120,11 @@ def _arms(tree: Tree, legs: Legs, pairs: Mapping[int, int]) -> list[list[int]]:
         chains = [tree.chain_of(b) for b in tree.below(body)]
         longest = max(chains, key=lambda c: len(c))
         chain = [j for j in longest if j in {*range(tree.model.njnt)} - set(tree.chain_of(parent))]
-        places = tree.anchor[chain]
-        reach_m = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+        if len(chain) < 2:
+            continue
+        reach_m = float(np.linalg.norm(np.diff(tree.anchor[chain], axis=0), axis=1).sum())
         reach_m += float(np.linalg.norm(tree.model.body_ipos[tree.model.jnt_bodyid[chain[-1]]]))
-        if len(chain) >= 2 and reach_m >= _ARM_LEAST_M:
+        if reach_m >= _ARM_LEAST_M:
             arms.append(chain)
     return arms
 
