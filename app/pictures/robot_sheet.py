@@ -88,7 +88,8 @@ def _draw_view(
             continue
         side = LEFT if name.startswith("left_") else RIGHT if name.startswith("right_") else BODY
         axes.plot(*_closed(outline).T, color=hex_of(side), linewidth=1.0 + is_sole, zorder=3)
-    _draw_axes(axes, scene, data, plane, flip)
+    if not is_below:
+        _draw_axes(axes, scene, data, plane, flip)
     com = data.body("pelvis").subtree_com[list(plane)] * flip
     axes.plot(*com, marker="P", color="black", markersize=9, zorder=6)
     axes.annotate("centre of mass", com, textcoords="offset points", xytext=(6, 6), fontsize=8)
