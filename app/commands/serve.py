@@ -69,7 +69,6 @@ def run(options: ServeOptions) -> int:
         chosen = replace(options, robot=name, policy=options.policy if name == first else None)
         return load_controlled(chosen, options.controller, "normal")
 
-
     _check_start(options, grid, robot)
     maps = maps_that_come_along()
     name = _name_of(options.map, maps)
