@@ -319,10 +319,9 @@ class WalkTask:
         if self.config.randomization.moved_share > 0:
             level, rows = self.stage.disturbance_level, np.flatnonzero(where)
             self._disturbances.move_steps(self._rng, self.walker, level, rows)
-        pushed = where & self._disturbances.pushed(self.ticks)
-        if pushed.any():
-            change = step_change(self.walker)
-            change_steps(self.walker, replace(change, needed=change.needed & pushed))
+        pushed = np.flatnonzero(where & self._disturbances.pushed(self.ticks))
+        if len(pushed):
+            change_steps(self.walker, step_change(self.walker, pushed))
 
     def critic_observe(self) -> np.ndarray:
         """The critic's scaled observation (B, M), of the states that `observe` saw last.

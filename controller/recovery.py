@@ -36,12 +36,13 @@ SHORTEST_REST_S = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class StepChange:
-    """What the present steps of B robots need against a push.
+    """What the present steps of the robots `rows` (n,) need against a push.
 
-    `needed` (B,): whether anything. `offset_world_m` (B, 2): the move of the step. `swing_ticks`
-    (B,): control ticks of its swing. Of a robot that needs nothing these are 0 and as they are.
+    `needed` (n,): whether anything. `offset_world_m` (n, 2): the move of the step. `swing_ticks`
+    (n,): control ticks of its swing. Of a robot that needs nothing these are 0 and as they are.
     """
 
+    rows: np.ndarray
     needed: np.ndarray
     offset_world_m: np.ndarray
     swing_ticks: np.ndarray
@@ -61,11 +62,15 @@ def moved_within(limits: StepLimits, step: np.ndarray, move_m: np.ndarray) -> np
     return np.asarray(move)
 
 
-def step_change(walker: Walker) -> StepChange:
-    """What the present step of each of a walker's robots needs, by centre of mass and soles."""
+def step_change(walker: Walker, rows: np.ndarray | None = None) -> StepChange:
+    """What the present steps of a walker's robots `rows` (n,) need, by centre of mass and soles.
+
+    By default all robots.
+    """
     robot, cursor = walker.robot, walker.cursor
     limits, foot = robot.training_model.limits, robot.step_model.foot
-    rows, side = np.arange(walker.sim.count), cursor.side
+    rows = np.arange(walker.sim.count) if rows is None else rows
+    side, tick = cursor.side[rows], cursor.tick[rows]
     outward = np.where(side == Side.LEFT, 1.0, -1.0)
     support = walker.soles_world()[rows, 1 - side]
 
@@ -73,7 +78,7 @@ def step_change(walker: Walker) -> StepChange:
         point = rotate_xy(point_world[:, :2] - support[:, :2], -support[:, 3])
         return np.column_stack([point[:, 0], outward * point[:, 1]])
 
-    sensors, latest = walker.scene.sensors, walker.sim.sensors[:, -1]
+    sensors, latest = walker.scene.sensors, walker.sim.sensors[rows, -1]
     com, velocity = latest[:, sensors.com_pos_world], latest[:, sensors.com_linvel_world]
     omega = np.sqrt(GRAVITY_M_S2 / np.maximum(com[:, 2] - support[:, 2], 0.1))
     capture = in_support_frame(com + velocity / omega[:, None])
@@ -81,34 +86,37 @@ def step_change(walker: Walker) -> StepChange:
     step = in_support_frame(target)
     half_m = np.array([foot.length_m, foot.width_m]) / 2
 
-    swing_ticks = cursor.ticks.swing
-    growth = np.exp(omega * (swing_ticks - cursor.tick) * CONTROL_PERIOD_S)
+    swing_ticks = cursor.ticks.swing[rows]
+    growth = np.exp(omega * (swing_ticks - tick) * CONTROL_PERIOD_S)
     missing = _missing_m(capture, step, growth, half_m, robot.steady_pressure_share)
-    needed = cursor.swinging & (cursor.tick >= round(FIRST_MOMENTS_S / CONTROL_PERIOD_S))
+    needed = cursor.swinging[rows] & (tick >= round(FIRST_MOMENTS_S / CONTROL_PERIOD_S))
     needed &= np.abs(missing).max(axis=1) > LEAST_M
     most_growth = _most_growth(capture, limits, half_m)
-    latest_tick = cursor.tick + np.floor(np.log(most_growth) / omega / CONTROL_PERIOD_S)
+    latest_tick = tick + np.floor(np.log(most_growth) / omega / CONTROL_PERIOD_S)
     first_tick = np.maximum(
-        cursor.tick + round(SHORTEST_REST_S / CONTROL_PERIOD_S),
+        tick + round(SHORTEST_REST_S / CONTROL_PERIOD_S),
         round(SHORTEST_SWING_S / CONTROL_PERIOD_S),
     )
     sooner = np.clip(latest_tick, np.minimum(first_tick, swing_ticks), swing_ticks)
     sooner = np.where(needed, sooner, swing_ticks).astype(np.int64)
-    growth = np.exp(omega * (sooner - cursor.tick) * CONTROL_PERIOD_S)
+    growth = np.exp(omega * (sooner - tick) * CONTROL_PERIOD_S)
     missing = _missing_m(capture, step, growth, half_m, PRESSURE_SHARE)
     missing[:, 1] = np.maximum(missing[:, 1], 0.0)
     move = moved_within(limits, step, missing * needed[:, None])
     move[:, 1] *= outward
     return StepChange(
-        needed=needed, offset_world_m=rotate_xy(move, support[:, 3]), swing_ticks=sooner
+        rows=rows,
+        needed=needed,
+        offset_world_m=rotate_xy(move, support[:, 3]),
+        swing_ticks=sooner,
     )
 
 
 def change_steps(walker: Walker, change: StepChange) -> None:
     """Move the present steps, and with them all later ones, and end their swings as they need."""
-    rows = np.flatnonzero(change.needed)
-    walker.cursor.shift(rows, change.offset_world_m[rows])
-    walker.cursor.hasten(rows, change.swing_ticks[rows])
+    rows, needed = change.rows[change.needed], change.needed
+    walker.cursor.shift(rows, change.offset_world_m[needed])
+    walker.cursor.hasten(rows, change.swing_ticks[needed])
 
 
 def _missing_m(

@@ -251,11 +251,9 @@ class StepCursor:
         standing robot both are where it stands.
         """
         other = np.where(self.standing, self.entry + 1, self.entry - 1)
-        targets = np.empty((len(self._rows), 2, 4))
-        side = self.side
-        targets[self._rows, side] = self._pose[self._rows, self.entry]
-        targets[self._rows, 1 - side] = self._pose[self._rows, other]
-        return targets
+        is_present = self.side[:, None] == np.arange(2)
+        entries = np.where(is_present, self.entry[:, None], other[:, None])
+        return self._pose[self._rows[:, None], entries]
 
     @property
     def lift_off_poses(self) -> np.ndarray:
