@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import pytest
 import yaml
@@ -150,6 +151,14 @@ def test_options_decide_what_the_model_does_not_tell(tmp_path, capsys):
     assert "add --force" in told
     told = refusal(capsys, "robot", "draft", tmp_path / "none.urdf", "--out", tmp_path / "new")
     assert "there is no such file" in told
+
+
+def test_a_model_without_shapes_gets_a_trunk(tmp_path):
+    text = re.sub("<collision>.*?</collision>", "", Humanoid().urdf())
+    document = drafted(tmp_path, text, "--sole", "0.22,0.1,0.08")
+    assert [shape["name"] for shape in document["shapes"]] == ["trunk", "thigh", "shank"]
+    wrong = [f.check for f in check_robot(read_robot(tmp_path)) if f.problems]
+    assert wrong == []
 
 
 def test_broken_inertias_are_mended_and_told(tmp_path, capsys):

@@ -261,6 +261,15 @@ def test_the_page_lists_it(folder):
         assert page.panel.robot.value == str(folder)
 
 
+@pytest.mark.parametrize("name", ["talos", "romeo"])
+def test_the_examples_are_robots(name):
+    """Their meshes are in a package that is not always installed: without it shapes are drawn."""
+    robot = read_robot(ROOT / "examples" / "robots" / name)
+    model = build_scene(robot, timestep_s=0.001).model
+    assert model.body_mass.sum() == pytest.approx(robot.mass_kg, abs=0.05)
+    assert model.nu == len(robot.joints) == 12
+
+
 def test_text_is_read_back_whatever_it_holds():
     document = {"format": "robot/1", "title": 'a: "b" # c', "mass_kg": 1e-7, "height_m": 1 / 3}
     assert yaml.safe_load(robot_text(document)) == document

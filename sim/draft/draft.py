@@ -21,6 +21,7 @@ from sim.draft.shapes import (
     leg_shapes,
     name_shapes,
     points_of,
+    trunk_shape,
     upper_shapes,
 )
 from sim.draft.steps import reachable_steps, stance_width_m, step_model_of, training_limits_of
@@ -108,11 +109,11 @@ def draft(
     sitting = half_sitting(tree, legs, sole, held_rad, ranges_rad)
     joints, told = _joint_rows(source, choices, tree, legs, ranges_rad, sitting)
     guessed += told
-    shapes = name_shapes(
-        tree,
-        pairs,
-        [*upper_shapes(tree, legs, pairs, points), *leg_shapes(tree, legs, points, sole)],
-    )
+    upper = upper_shapes(tree, legs, pairs, points)
+    if not upper:
+        upper = [trunk_shape(tree)]
+        guessed.append("shapes: the model shows nothing of the upper body; a capsule stands for it")
+    shapes = name_shapes(tree, pairs, [*upper, *leg_shapes(tree, legs, points, sole)])
     name = choices.name or _plain(source.name)
     document = {
         "format": FORMAT,

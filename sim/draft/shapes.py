@@ -241,6 +241,13 @@ def upper_shapes(
     return shapes
 
 
+def trunk_shape(tree: Tree) -> dict[str, object]:
+    """A capsule from the base to the highest body, for a model without shapes."""
+    top_m = max(float(tree.pos[1:, 2].max()), 0.4)
+    ends = [[0.0, 0.0, 0.12], [0.0, 0.0, top_m]]
+    return {"name": "trunk", "of": (tree.base, tree.base), "ends_m": ends, "radius_m": 0.12}
+
+
 def name_shapes(
     tree: Tree, pairs: Mapping[int, int], shapes: Iterable[dict[str, object]]
 ) -> list[dict[str, object]]:
