@@ -27,11 +27,17 @@ class Watcher:
 
     `heard` counts the messages by kind, `heard_of` by the node that they are about; `last` has the
     latest of each kind, `last_of` of each kind and node. `shape_px` is the window's width and
-    height. One that is lazy never reads what it is sent.
+    height. One that is lazy never reads what it is sent. `cookie` is what a browser would send.
     """
 
     def __init__(
-        self, url: str, *, is_lazy: bool = False, width_px: int = 900, height_px: int = 600
+        self,
+        url: str,
+        *,
+        is_lazy: bool = False,
+        width_px: int = 900,
+        height_px: int = 600,
+        cookie: str = "",
     ) -> None:
         self.heard: Counter[str] = Counter()
         self.heard_of: Counter[str] = Counter()
@@ -43,6 +49,7 @@ class Watcher:
             subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
             max_size=None,
             compression=None,
+            additional_headers={"Cookie": cookie} if cookie else None,
         )
         self.say_camera(_SEEN_M, (0.0, 0.0, 0.0))
         self._ears = threading.Thread(target=self._listen, daemon=True)
@@ -66,8 +73,15 @@ class Watcher:
             up_direction=(0.0, 0.0, 1.0),
         )
 
-    def click(self, name: str, from_m: Sequence[float], along: Sequence[float]) -> None:
-        """Clicks this node by a ray from a point of the world."""
+    def click(
+        self,
+        name: str,
+        from_m: Sequence[float],
+        along: Sequence[float],
+        *,
+        modifier: str | None = None,
+    ) -> None:
+        """Clicks this node by a ray from a point of the world, with a key held if one is named."""
         self._send(
             type="SceneNodeClickMessage",
             name=name,
@@ -75,7 +89,7 @@ class Watcher:
             ray_origin=tuple(from_m),
             ray_direction=tuple(along),
             screen_pos=(0.5, 0.5),
-            modifier=None,
+            modifier=modifier,
         )
 
     def close(self) -> None:

@@ -208,7 +208,7 @@ def test_what_is_impossible_is_told_and_a_pose_offered(visit, address):
 
 
 @pytest.mark.slow
-def test_plan_and_report_are_saved(visit, address):
+def test_plan_picture_report_and_replay_are_saved(visit, address):
     page = visit.page
     page.goto(address)
     page.get_by_role("button", name="Reset", exact=True).click()
@@ -222,13 +222,37 @@ def test_plan_and_report_are_saved(visit, address):
     page.get_by_role("button", name="Go", exact=True).click()
     visit.heading("Reached")
     documents = {}
-    for name in ("plan.json", "report.json"):
+    for name in ("plan.json", "report.json", "path.png", "walk.html"):
         with page.expect_download() as coming:
             page.get_by_role("button", name=name, exact=True).click()
         assert coming.value.suggested_filename == name
-        documents[name] = Path(coming.value.path()).read_text(encoding="utf-8")
-    assert FootstepPlan.from_json(documents["plan.json"]).goal[:2] == (0.4, 0.1)
-    assert NavigationReport.from_json(documents["report.json"]).outcome == "reached"
+        documents[name] = Path(coming.value.path()).read_bytes()
+    assert FootstepPlan.from_json(documents["plan.json"].decode()).goal[:2] == (0.4, 0.1)
+    assert NavigationReport.from_json(documents["report.json"].decode()).outcome == "reached"
+    assert (
+        cv2.imdecode(np.frombuffer(documents["path.png"], np.uint8), cv2.IMREAD_COLOR) is not None
+    )
+    assert b"Footfall: JVRC-1 on" in documents["walk.html"]
+
+
+@pytest.mark.slow
+def test_the_address_opens_the_same_on_a_dark_phone(visit, address):
+    page = visit.page
+    page.goto(f"{address}/?darkMode&start=0,0,0&goal=1,0.5,90deg")
+    visit.heading("Walking|Reached")
+    page.wait_for_function("/goal=1,0.5,90deg/.test(location.search)")
+    assert "darkMode" not in page.url
+    page.wait_for_function("document.documentElement.dataset.mantineColorScheme === 'dark'")
+    page.set_viewport_size({"width": 390, "height": 844})
+    sheet = page.locator("[style*='max-height: 60%']").first
+    sheet.wait_for()
+    box = sheet.bounding_box()
+    assert box is not None
+    assert box["height"] <= 844 / 3 + 1
+    assert box["width"] == 390
+    page.get_by_role("button", name="Undo", exact=True).click()
+    page.wait_for_function("!/goal=1,0.5/.test(location.search)")
+    assert visit.errors == []
 
 
 @pytest.mark.slow

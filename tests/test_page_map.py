@@ -260,3 +260,30 @@ def test_all_faces_look_outward():
     away = drawn.triangles_center - (-1.25, 3.0, 0.5)
     assert len(away) == 10
     assert (np.einsum("fi,fi->f", drawn.face_normals, away) > 0.4).all()
+
+
+def test_boxes_that_are_put_back_are_drawn_where_they_were(scene):
+    changes: list[Any] = []
+    editor = ObstacleEditor(
+        scene,
+        STAIRS,
+        on_change=changes.append,
+        is_refused=lambda _: "",
+        on_refused=pytest.fail,
+        on_click=nothing,
+    )
+    editor.add((0.0, 0.0), (0.4, 0.4))
+    editor.add((1.0, 0.0), (0.4, 0.4))
+    ((first,), (_, second)) = changes
+    moved = Obstacle(number=1, x_m=first.x_m, y_m=second.y_m, size_x_m=0.8, size_y_m=0.4)
+    editor.put([moved])
+    assert scene.get_handle_by_name("/map/box_0") is None
+    drawn = node(scene, "/map/box_1")
+    assert tuple(drawn.position[:2]) == (first.x_m, second.y_m)
+    assert tuple(drawn.dimensions[:2]) == (0.8, 0.4)
+    editor.put([second, first])
+    assert tuple(node(scene, "/map/box_1").position[:2]) == (second.x_m, second.y_m)
+    # Nobody was told: it is others who set them. The one added last goes first.
+    assert len(changes) == 2
+    editor.remove_last()
+    assert changes[-1] == (second,)

@@ -151,7 +151,7 @@ def said(page: Page) -> str:
 
 def test_a_map_that_is_chosen_is_what_comes_next(page):
     page.map_chooser.choose("office")
-    name, grid, start = page.wanted_map
+    name, grid, start, _link = page.wanted_map
     assert name == "office"
     assert grid.shape == load_map(ROOT / "maps" / "office.png").shape
     assert start == (0.0, 0.0, 0.0)

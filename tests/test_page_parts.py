@@ -13,8 +13,10 @@ from app.output import ExitCode
 from app.viewer.obstacles import Obstacle, snapped, with_obstacles
 from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, toward
+from app.viewer.scenario import EditHistory, Scenario
 from app.viewer.scene import on_floor
-from app.viewer.session import SimulationClock, Snapshot
+from app.viewer.simulation_clock import SimulationClock
+from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 
 GRID = OccupancyGrid(cells=np.zeros((20, 30), np.uint8), resolution_m=0.1, origin=(5.0, -3.0, 0.5))
@@ -155,3 +157,34 @@ def test_serve_refuses_a_start_where_nobody_can_stand(start, words, capsys, monk
     (line,) = capsys.readouterr().err.splitlines()
     assert f"--start {start}" in line
     assert words in line
+
+
+def test_edits_are_taken_back_and_made_again_until_another_one_is_made():
+    first, second, third, fourth = (
+        Scenario(start=(0, 0, 0), goal=(float(x), 0, 0)) for x in range(1, 5)
+    )
+    history = EditHistory(first)
+    for scenario in (second, second, third):
+        history.note(scenario, is_edit=True)
+    assert [history.undo(), history.undo(), history.undo()] == [second, first, None]
+    assert history.redo() == second
+    history.note(fourth, is_edit=True)
+    assert history.redo() is None
+    assert [history.undo(), history.undo()] == [second, first]
+
+
+def test_what_nobody_set_is_not_taken_back():
+    walks, stopped = Scenario(start=(0, 0, 0), goal=(1, 0, 0)), Scenario(start=(0, 0, 0))
+    history = EditHistory(walks)
+    history.note(stopped, is_edit=False)
+    assert history.undo() is None
+    history.note(walks, is_edit=True)
+    assert history.undo() == stopped
+
+
+def test_a_refused_goal_was_no_edit():
+    first, refused = Scenario(start=(0, 0, 0)), Scenario(start=(0, 0, 0), goal=(9, 9, 0))
+    history = EditHistory(first)
+    history.note(refused, is_edit=True)
+    history.note(first, is_edit=False)
+    assert history.undo() is None

@@ -8,14 +8,17 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from app.navigation.live_navigator import LiveNavigator, Replanner, WalkHistory
+from app.navigation.live_navigator import LiveNavigator, WalkHistory
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.planner_process import Answer, PlannerProcess, World
+from app.navigation.replanner import Replanner
+from app.navigation.route import plan_through
 from app.viewer.obstacles import Obstacle, snapped
 from app.viewer.session import Session
 from controller.evaluation.gait_summary import LEAST_STEPS
@@ -127,7 +130,7 @@ class StubPlanner:
         return kept
 
     def answer(self, *, is_last: bool) -> None:
-        plan = Planner(HALL, ROBOT.step_model).plan(**self._asked)
+        plan = plan_through(Planner(HALL, ROBOT.step_model), **self._asked)
         self._kept.append(Answer(number=self.number, plan=plan, is_last=is_last))
 
 
@@ -349,3 +352,50 @@ def test_a_fresh_walk_forgets_how_the_one_before_was_walked():
         while navigator.outcome is None:
             navigator.tick()
         assert (navigator.report().gait is not None) == has_gait
+
+
+def is_restored(times: int, now: Any) -> bool:
+    return now.restores > times and now.requested is None
+
+
+@pytest.mark.slow
+def test_boxes_goal_and_start_are_taken_back_and_made_again(session):
+    box = box_at(2.5, 2.0)
+    session.go_to(AHEAD)
+    wait_for(session, lambda now: now.goal == AHEAD)
+    session.set_obstacles([box])
+    wait_for(session, lambda now: now.obstacles == (box,))
+    session.go_to((2.0, 1.0, 0.0))
+    wait_for(session, lambda now: now.goal == (2.0, 1.0, 0.0))
+    session.reset((1.0, 1.0, 0.0))
+    wait_for(session, lambda now: now.start[0] == 1.0 and now.goal is None)
+    # A refused goal changes nothing, and so is nothing to be taken back.
+    session.go_to((2.0, 2.9, 0.0))
+    wait_for(session, lambda now: now.notice and not now.requested)
+    session.undo()
+    wait_for(session, lambda now: now.goal == (2.0, 1.0, 0.0) and now.start == (0, 0, 0))
+    session.undo()
+    wait_for(session, lambda now: now.goal == AHEAD)
+    session.undo()
+    wait_for(session, lambda now: now.obstacles == () and now.goal == AHEAD)
+    session.undo()
+    wait_for(session, lambda now: now.goal is None)
+    session.undo()
+    wait_for(session, lambda now: now.notice and now.notice.text == "there is nothing to undo")
+    for _ in range(4):
+        before = session.snapshot.restores
+        session.redo()
+        wait_for(session, partial(is_restored, before))
+    assert session.snapshot.start == (1.0, 1.0, 0.0)
+    assert session.snapshot.obstacles == (box,)
+
+
+def test_a_way_that_a_box_has_closed_is_open_again_after_one_undo(session):
+    session.clock.factor = 4.0
+    session.go_to((3.0, 0.0, 0.0))
+    wait_for(session, lambda now: len(now.placed_side) >= 1)
+    session.set_obstacles([box_at(3.0, 0.0, 1.0)])
+    wait_for(session, lambda now: now.goal is None)
+    session.undo()
+    back = wait_for(session, lambda now: now.goal == (3.0, 0.0, 0.0))
+    assert back.obstacles == ()

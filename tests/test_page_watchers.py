@@ -14,7 +14,7 @@ import pytest
 from app.navigation.live_navigator import Notice
 from app.viewer.camera import overview
 from app.viewer.page import Page, open_page
-from app.viewer.session import Snapshot
+from app.viewer.snapshot import Snapshot
 from benchmarks.page_watcher import Watcher, painted_in_background
 from planner.plan import FootstepPlan
 from tests.scenes import HALL, POLICY, ROBOT, wait_until

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
-
 from app.controllers import ControllerOption, load_controlled
 from app.navigation.report import NavigationReport, Outcome, PolicyFile
 from app.options import (
@@ -43,7 +41,6 @@ from app.output import (
 )
 from app.ros.recording import Recorder, recording, require_recordable
 from app.workers import compile_planner
-from controller.gait import CONTROL_PERIOD_S
 from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
@@ -232,34 +229,22 @@ def _require_reachable(options: NavigateOptions) -> None:
 def _write(
     options: NavigateOptions, navigator: Navigator, plan: FootstepPlan, report: NavigationReport
 ) -> None:
-    from app.pictures.plan_pictures import walk_picture
+    from app.pictures.walk_pictures import path_picture
 
     write_text(options.out / "report.json", report.to_json())
     write_text(options.out / "plan.json", plan.to_json() + "\n")
-    picture = walk_picture(
-        navigator.grid,
-        navigator.robot.step_model,
-        plan,
-        placed_side=np.array([int(placed.side) for placed in navigator.placed], dtype=np.int8),
-        placed_world=np.array([p.placed_world for p in navigator.placed]).reshape(-1, 4),
-        body_xy_world=np.array(navigator.qpos)[:, :2],
-    )
-    write_picture(options.out / "path.png", picture)
+    write_picture(options.out / "path.png", path_picture(navigator, plan))
 
 
 def _draw(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, navigator: Navigator
 ) -> list[Path]:
     """Replay, film and picture strips of the walk, where they were asked for; the files."""
-    from app.pictures.rendering import FOLLOW, Recording
+    from app.pictures.rendering import FOLLOW
+    from app.pictures.walk_pictures import outcome_of, recording_of
     from sim.scene import scene_of
 
-    qpos = np.array(navigator.qpos)
-    recording = Recording(
-        qpos=qpos,
-        time_s=np.arange(len(qpos)) * CONTROL_PERIOD_S,
-        ground_m=grid.height_m(qpos[:, :2]),
-    )
+    recording = recording_of(navigator)
     if options.html is not None:
         from app.viewer.replay import Story, write_replay
 
@@ -282,7 +267,8 @@ def _draw(
     scene = scene_of(grid, robot, options.unknown_is_free, visuals=True)
     marks = footmarks_of(robot.step_model.foot, navigator.followed, navigator.placed)
     if options.video is not None:
-        goal = f"{options.goal.x_m:g}, {options.goal.y_m:g}, {options.goal.yaw_rad:.3g} rad"
+        x_m, y_m, yaw_rad = options.goal
+        goal = f"{x_m:g}, {y_m:g}, {math.degrees(yaw_rad):.0f} degrees"
         write_film(
             options.video,
             scene.model,
@@ -305,16 +291,6 @@ def _draw(
     return written
 
 
-def outcome_of(navigator: Navigator) -> str:
-    """How a walk ended, in one line."""
-    assert navigator.outcome is not None
-    if navigator.reason:
-        return f"{navigator.outcome}: {navigator.reason}"
-    distance_m, angle_rad = navigator.goal_error
-    degrees = math.degrees(angle_rad)
-    return f"{navigator.outcome}, {100 * distance_m:.1f} cm and {degrees:.1f}° from the goal"
-
-
 @contextlib.contextmanager
 def viewed(
     options: NavigateOptions, grid: OccupancyGrid, robot: Robot, policy: Controller
@@ -327,6 +303,7 @@ def viewed(
         robot,
         policy,
         title=f"Footfall: {options.map}",
+        map_name=str(options.map),
         start=options.start,
         goal=options.goal,
         options=options.search,

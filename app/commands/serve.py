@@ -73,13 +73,14 @@ def run(options: ServeOptions) -> int:
     maps = maps_that_come_along()
     name = _name_of(options.map, maps)
     start: Pose | tuple[float, float, float] = options.start
-    port, access = options.port, None
+    port, access, link = options.port, None, None
     while True:
         with open_page(
             grid,
             robot,
             policy,
             title=f"Footfall: {name}",
+            map_name=name,
             host=options.host,
             names=options.allow_host,
             access=access,
@@ -92,13 +93,15 @@ def run(options: ServeOptions) -> int:
             maps=Maps({name: options.map} | maps, name),
         ) as page:
             page.session.start()
+            if link is not None:
+                page.follow(link)
             if access is None:
                 say(f"open {page.server.url} in a browser; Ctrl-C ends it")
             port, access = page.server.get_port(), page.server.access
             _run_until_loaded(page)
             page.run(is_over=lambda: page.wanted_map is not None)
             assert page.wanted_map is not None
-            name, grid, start = page.wanted_map
+            name, grid, start, link = page.wanted_map
             robot, policy = page.session.setup.robot, page.session.setup.policy
 
 

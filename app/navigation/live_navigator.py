@@ -1,23 +1,30 @@
-"""A navigator that can be told something else at any time, its history, and who asks for plans."""
+"""A navigator that can be told something else at any time, and what is known of its walk."""
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from app.navigation.navigator import FootstepPlanner, Navigator, Placed
-from app.navigation.planner_process import Answer, PlannerProcess
+from app.navigation.navigator import Navigator, Placed
 from app.navigation.report import Outcome
+from app.navigation.route import FootstepPlanner
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
-from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, from_frame, pair_pose
+from planner.plan import (
+    FootstepPlan,
+    NarrowPlace,
+    Pose,
+    feet_at,
+    finite_pose,
+    from_frame,
+    pair_pose,
+)
 from planner.robot_model import Side
 from sim.scene import min_clearance_m, scene_of
 
@@ -45,15 +52,21 @@ class LiveNavigator(Navigator):
 
     In mid-step the robot cannot change its mind: a plan from `replan_point()` waits until the foot
     in the air has landed: meanwhile it is `waiting`. `tick()` goes on balancing the robot when
-    there is nowhere to go; `idle_s` is for how long it has.
+    there is nowhere to go; `idle_s` is for how long it has. `stops` counts the waypoints at which
+    it stood on this walk.
     """
 
-    landings = 0
+    landings = stops = 0
     idle_s = 0.0
     going = False
     halted = False
     waiting: FootstepPlan | None = None
     _waits_for = 0
+
+    @property
+    def replans(self) -> int:
+        """How often a new plan was made on the way; the one from a stop to the next is none."""
+        return max(0, super().replans - self.stops)
 
     @property
     def has_ended(self) -> bool:
@@ -69,6 +82,8 @@ class LiveNavigator(Navigator):
         """What it does, in a word, or how it ended and why; `is_asking` for a plan."""
         if self.halted and not self.has_ended:
             return "stopping" if self.going else "stopped"
+        if is_asking and self.outcome is Outcome.REACHED:
+            return "planning"
         if self.outcome is not None:
             return f"{self.outcome}" + (f": {self.reason}" if self.reason else "")
         if is_asking and not self.going:
@@ -106,6 +121,7 @@ class LiveNavigator(Navigator):
         if fresh:
             self.plans, self.placed, self.followed = [], [], []
             self.qpos, self.recovery_steps = [self.qpos[-1]], 0
+            self.stops = 0
             self.gait = GaitRecorder(self.walker)
         self.goal, self.outcome, self.reason = tuple(goal), None, ""
         self.going, self.halted, self.idle_s = True, False, 0.0
@@ -182,13 +198,15 @@ class LiveNavigator(Navigator):
 class Notice:
     """Something that went wrong, in words, and a pose that would do instead, if one is known.
 
-    Both poses are goals, or with `puts_robot` places for the robot to begin anew.
+    Both poses are goals, or with `puts_robot` places for the robot to begin anew. `narrow_place` is
+    what is too narrow on the way to a goal.
     """
 
     text: str
     refused: Pose | None = None
     alternative: Pose | None = None
     puts_robot: bool = False
+    narrow_place: NarrowPlace | None = None
 
 
 class WalkHistory:
@@ -236,161 +254,3 @@ class WalkHistory:
     def forces(self) -> np.ndarray:
         """Time in s and upward force on the left and right foot in N, (3, T), the latest last."""
         return np.array(list(self._forces) or [(0.0, 0.0, 0.0)]).T
-
-
-@dataclass(frozen=True, kw_only=True)
-class Question:
-    """What the planner was asked, from which moment, and for which goal.
-
-    fresh: somebody has set this goal; otherwise it is the way to the old one that is asked for.
-    in_the_way: what was seen at the goal already when it was pointed at.
-    """
-
-    number: int
-    replan_point: ReplanPoint
-    goal: Pose
-    fresh: bool
-    asked_s: float
-    in_the_way: str = ""
-
-
-class Replanner:
-    """Asks for one robot at a time, the `navigator`; used from one thread.
-
-    `notice` is what there is to be told of. `answer_s` is the real time that the last question took
-    until its first answer, and `answer_of` that question's number.
-    """
-
-    def __init__(
-        self, planner: PlannerProcess, history: WalkHistory, navigator: LiveNavigator
-    ) -> None:
-        self._planner, self._history = planner, history
-        self.answer_of = self._followed_number = -1
-        self.take(navigator)
-
-    def take(self, navigator: LiveNavigator) -> None:
-        """Leads this robot from now on; whatever was asked for another one is forgotten."""
-        self.navigator = navigator
-        self.question: Question | None = None
-        self.notice: Notice | None = None
-        self.preview: FootstepPlan | None = None
-        self.answer_s: float | None = None
-        self._history.begin(navigator)
-
-    @property
-    def shown_plan(self) -> tuple[FootstepPlan | None, int]:
-        """The plan to be seen, and how many of its steps have been taken."""
-        navigator = self.navigator
-        if navigator.waiting is not None:
-            return navigator.waiting, 0
-        if self.question is not None and self.preview is not None and not navigator.going:
-            return self.preview, 0
-        if not navigator.followed:
-            return None, 0
-        begun_s, plan = navigator.followed[-1]
-        return plan, sum(placed.time_s > begun_s for placed in navigator.placed)
-
-    @property
-    def requested(self) -> Pose | None:
-        """The goal that somebody has set and that nobody has begun to walk to."""
-        question = self.question
-        return question.goal if question is not None and self._is_new_walk(question) else None
-
-    def ask(self, goal: Pose, *, fresh: bool, in_the_way: str = "") -> None:
-        """Asks for a way to the goal; see Question."""
-        if self.navigator.has_ended:
-            self.notice = Notice(text=f"the robot has {self.navigator.outcome}: reset it first")
-            return
-        self.notice = None if fresh else self.notice
-        replan_point = self.navigator.replan_point()
-        number = self._planner.ask(
-            goal=goal, start_feet_world=replan_point.feet_world, first_side=replan_point.first_side
-        )
-        self.question = Question(
-            number=number,
-            replan_point=replan_point,
-            goal=goal,
-            fresh=fresh,
-            asked_s=time.monotonic(),
-            in_the_way=in_the_way,
-        )
-
-    def listen(self) -> None:
-        """Takes the answers that have come."""
-        for answer in self._planner.answers() if self.question else []:
-            question = self.question
-            if question is not None and answer.number == question.number:
-                self._answered(question, answer)
-
-    def ticked(self) -> None:
-        """Sees to it that the question is still asked after each moment of the robot."""
-        if self.question is not None and self.question.number != self._planner.number:
-            # The navigator asked in between, when its wait was over, and got its answer.
-            self._ask_again(self.question)
-
-    def plan_anew(self) -> None:
-        """What was asked is asked again, and what is walked is planned again.
-
-        Meanwhile the robot walks on, but not onto what is there now.
-        """
-        navigator = self.navigator
-        is_led = navigator.going and not (navigator.halted or navigator.has_ended)
-        goal = finite_pose(navigator.goal)
-        if is_led and not navigator.may_go_on():
-            navigator.halt()
-        if self.question is not None:
-            self._ask_again(self.question)
-        elif is_led:
-            self.ask(goal, fresh=False)
-
-    def stop(self) -> None:
-        """Has the robot stand still as soon as possible."""
-        self.question = self.preview = None
-        self.navigator.halt()
-
-    def _is_new_walk(self, question: Question) -> bool:
-        """Whether a plan for it would begin a walk; one that its first plan has begun goes on."""
-        return question.fresh and self._followed_number != question.number
-
-    def _ask_again(self, question: Question) -> None:
-        fresh = self._is_new_walk(question)
-        self.ask(question.goal, fresh=fresh, in_the_way=question.in_the_way)
-
-    def _answered(self, question: Question, answer: Answer) -> None:
-        if self.answer_of != question.number:
-            self.answer_s = time.monotonic() - question.asked_s
-            self.answer_of = question.number
-        if answer.is_last:
-            self.question = None
-        if not answer.plan.found:
-            self._no_plan(question, answer)
-            return
-        self.preview = answer.plan
-        if question.replan_point.first_side is None and not answer.is_last:
-            return  # It stands: a moment of thought costs nothing.
-        self._follow(question, answer.plan)
-
-    def _follow(self, question: Question, plan: FootstepPlan) -> None:
-        navigator, begun = self.navigator, self._followed_number == question.number
-        is_new_walk = self._is_new_walk(question)
-        if navigator.go(question.goal, plan, question.replan_point, fresh=is_new_walk):
-            if begun:
-                # The better plan takes the place of the first.
-                del navigator.plans[-2]
-            if is_new_walk:
-                self._history.begin(navigator)
-            self._followed_number = question.number
-        elif not begun:
-            if not question.fresh:
-                # Its way may be blocked, and planning takes longer than a step: think first.
-                navigator.halt()
-            self.ask(question.goal, fresh=question.fresh)
-
-    def _no_plan(self, question: Question, answer: Answer) -> None:
-        seen = question.in_the_way
-        text = "no plan: " + (f"{seen} stands there" if seen else answer.plan.reason)
-        self.notice = Notice(text=text, refused=question.goal, alternative=answer.alternative)
-        if not question.fresh:
-            # The way that it was on is no more.
-            self.navigator.halt()
-            self.preview = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
+from app.navigation.route import FootstepPlanner, Route, plan_through
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.evaluation.push_recovery import Push
 from controller.gait import CONTROL_PERIOD_S, step_durations_s
@@ -27,7 +27,7 @@ from controller.walker import Controller, Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
 from planner.options import PlannerOptions
-from planner.plan import FootstepPlan, finite_pose, pair_pose, wrap_angle
+from planner.plan import FootstepPlan, Pose, finite_pose, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
 from sim.robot import Robot
@@ -85,16 +85,6 @@ class Placed:
     def error_rad(self) -> float:
         """Difference of heading, not negative."""
         return abs(float(wrap_angle(self.placed_world[3] - self.asked_world[3])))
-
-
-class FootstepPlanner(Protocol):
-    """What the navigator asks for plans; `planner.planner.Planner` is one."""
-
-    def plan(
-        self, *, goal: Sequence[float], start_feet_world: np.ndarray, first_side: Side | None
-    ) -> FootstepPlan:
-        """A plan from both feet (2, 4) as they stand to a pair pose, as `Planner.plan` makes it."""
-        ...
 
 
 class Navigator:
@@ -165,6 +155,15 @@ class Navigator:
     def replans(self) -> int:
         """How often a new plan was made on the way."""
         return max(0, len(self.plans) - 1)
+
+    @property
+    def ahead(self) -> tuple[Pose, ...]:
+        """The poses through which it walks on its way and which it has not passed yet."""
+        begun_s, route = self.followed[-1] if self.followed else (0.0, None)
+        if not isinstance(route, Route):
+            return ()
+        done = sum(placed.time_s > begun_s for placed in self.placed)
+        return tuple(p for p, joint in zip(route.via, route.joints, strict=True) if joint > done)
 
     @property
     def goal_error(self) -> tuple[float, float]:
@@ -364,8 +363,12 @@ class Navigator:
             self._end(Outcome.FELL, f"the robot fell near {x:.2f}, {y:.2f}")
 
     def _plan_from(self, feet_world: np.ndarray, first_side: Side | None) -> FootstepPlan:
-        plan = self._planner.plan(
-            start_feet_world=feet_world, first_side=first_side, goal=self.goal
+        plan = plan_through(
+            self._planner,
+            goal=self.goal,
+            start_feet_world=feet_world,
+            first_side=first_side,
+            via=self.ahead,
         )
         paced = self._paced(plan)
         self.plans.append(paced)

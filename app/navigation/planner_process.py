@@ -8,11 +8,12 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple, TypedDict, Unpack
+from typing import Any, NamedTuple, NotRequired, TypedDict, Unpack
 
 import cv2
 import numpy as np
 
+from app.navigation.route import plan_through
 from maps.grid import OccupancyGrid
 from planner.collision import Terrain, terrain_of
 from planner.compilation import compile_ahead
@@ -21,6 +22,7 @@ from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, PlanStatus, Pose, feet_at, finite_pose, pair_pose
 from planner.planner import Planner
 from planner.robot_model import Side, StepModel
+from planner.search.search_record import SearchRecord
 
 # How long a plan that is there already is improved.
 POLISH_S = 1.0
@@ -37,11 +39,12 @@ _LONGEST_S = 0.5
 
 
 class Asked(TypedDict):
-    """What a planner is asked, see `Planner.plan`: from both feet (2, 4) to a pair pose."""
+    """What a planner is asked, see `plan_through`: from both feet (2, 4) to a pair pose."""
 
     goal: Sequence[float]
     start_feet_world: np.ndarray
     first_side: Side | None
+    via: NotRequired[Sequence[Pose]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +63,15 @@ class Query:
 class Answer:
     """A plan for the query of that number; after the first may come one better one.
 
-    `alternative` is a pose near by that would do when the goal of the query does not.
+    `alternative` is a pose near by that would do when the goal of the query does not. A plan that
+    fails on the way has the pose that it does not reach for its goal. `record` tells of the search
+    for its last leg, if the options ask for that.
     """
 
     number: int
     plan: FootstepPlan
     alternative: Pose | None = None
+    record: SearchRecord | None = None
     is_last: bool = True
 
 
@@ -151,18 +157,22 @@ def _planners(world: World) -> _Planners:
 def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -> None:
     asked, number = query.asked, query.number
     if query.once:
-        pipe.send(Answer(number=number, plan=planners.plain.plan(**asked)))
+        pipe.send(Answer(number=number, plan=plan_through(planners.plain, **asked)))
         return
-    plan = planners.quick.plan(**asked)
+    plan = plan_through(planners.quick, **asked)
     improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
-    alternative = None if plan.found else _alternative(world, planners.quick, asked, plan.status)
-    pipe.send(Answer(number=number, plan=plan, alternative=alternative, is_last=not improvable))
+    alternative = None
+    if not plan.found and plan.goal == finite_pose(asked["goal"]):
+        alternative = _alternative(world, planners.quick, asked, plan.status)
+    record = planners.quick.record
+    answer = Answer(number=number, plan=plan, alternative=alternative, record=record)
+    pipe.send(replace(answer, is_last=not improvable))
     if improvable and not pipe.poll():
-        better = planners.thorough.plan(**asked)
+        better = plan_through(planners.thorough, **asked)
         # Off the lattice the better start may come out dearer.
         if better.found and better.cost_m <= plan.cost_m:
             plan = replace(better, time_to_first_s=plan.time_s)
-        pipe.send(Answer(number=number, plan=plan))
+        pipe.send(Answer(number=number, plan=plan, record=planners.thorough.record))
 
 
 def _alternative(world: World, planner: Planner, asked: Asked, status: PlanStatus) -> Pose | None:
@@ -222,7 +232,7 @@ def _nearest_reachable_pose(world: World, planner: Planner, asked: Asked) -> Pos
         if what_blocks(grid, terrain, model, feet_at(pose, model.stance_width_m)):
             continue
         there: Asked = {**asked, "goal": pose}
-        if planner.plan(**there).found:
+        if plan_through(planner, **there).found:
             return pose
         tried.append(pose)
     return None

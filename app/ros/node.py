@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from app.navigation.live_navigator import LiveNavigator, Replanner, WalkHistory
+from app.navigation.live_navigator import LiveNavigator, WalkHistory
 from app.navigation.navigator import NavigatorConfig
 from app.navigation.planner_process import PlannerProcess, World, place_to_stand
+from app.navigation.replanner import Replanner
 from app.output import one_line, say
 from app.ros.description import MAP_FRAME
 from app.ros.messages import (

@@ -9,12 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import gzip
-import html
 import http
 import ipaddress
 import logging
-import re
 import secrets
 import socket
 from collections.abc import Awaitable, Callable, Iterator, Sequence
@@ -176,34 +173,12 @@ def _tell_of_task(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> N
     _tell_of(str(told))
 
 
-def titled(answer: Answer, title: str) -> Answer:
-    """The answers of a server with this title on its page, in place of the library's."""
-    named = f"<title>{html.escape(title)}</title>".encode()
-    made: dict[bytes, bytes] = {}  # pages that were asked for, and as they are answered
-
-    def answered(connection: ServerConnection, request: Request) -> Response | None:
-        response = answer(connection, request)
-        if response is None or "text/html" not in response.headers.get("Content-Type", ""):
-            return response
-        body = bytes(response.body)
-        if body not in made:
-            is_zipped = response.headers.get("Content-Encoding") == "gzip"
-            page = gzip.decompress(body) if is_zipped else body
-            page = re.sub(rb"<title>[^<]*</title>", lambda _: named, page, count=1)
-            made[body] = gzip.compress(page) if is_zipped else page
-        response.body = made[body]
-        del response.headers["Content-Length"]
-        response.headers["Content-Length"] = str(len(response.body))
-        return response
-
-    return answered
-
-
 @contextlib.contextmanager
-def guarding(access: Access, title: str) -> Iterator[None]:
+def guarding(access: Access, dressed: Callable[[Answer], Answer]) -> Iterator[None]:
     """Lets servers of websockets that start inside answer whom `access` lets in, and no others.
 
-    viser starts its own and gives no way to look at requests first, nor to name its page.
+    `dressed` makes what is answered from what the server would. viser starts its own server and
+    gives no way to look at requests first, nor to change its page.
     """
     serve = websockets.asyncio.server.serve
 
@@ -214,7 +189,7 @@ def guarding(access: Access, title: str) -> Iterator[None]:
         return serve(
             survives(handler),
             *place,
-            process_request=access.guard(titled(process_request, title)),
+            process_request=access.guard(dressed(process_request)),
             **options,
         )
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import viser
 
+from app.viewer.html_page import PHONE_SHARE
 from maps.grid import OccupancyGrid
 
 FIELD_OF_VIEW_RAD = math.radians(50)
-# viser puts the panel at the bottom of a phone, over this share of the window at most.
+# The panel is at the bottom of a phone, over this share of the window at most.
 _PHONE_ASPECT = 0.7
-_PHONE_SHARE = 0.6
 # Elsewhere it is at the right, over about this share.
 _PANEL_SHARE = 0.22
 # The first view is from the south, so far from the vertical: walls hide little floor.
@@ -26,7 +26,7 @@ _NEAREST_M = 3.0
 _MARGIN = 1.17
 # A camera that begins to follow comes so near, and looks at this height above the ground.
 FOLLOW_DISTANCE_M = 4.5
-_PHONE_DISTANCE_M = 8.0
+_PHONE_DISTANCE_M = 5.5
 FOLLOW_HEIGHT_M = 0.8
 _BEHIND_RAD = math.radians(20)
 # So far behind in time that the picture does not sway with the gait.
@@ -71,7 +71,7 @@ def is_phone(aspect: float) -> bool:
 
 def free_middle(aspect: float) -> tuple[float, float]:
     """The middle of what the panel leaves free, from -1 left, down to 1 right, up of a window."""
-    return (0.0, _PHONE_SHARE) if is_phone(aspect) else (-_PANEL_SHARE, 0.0)
+    return (0.0, PHONE_SHARE) if is_phone(aspect) else (-_PANEL_SHARE, 0.0)
 
 
 def centred(point_m: np.ndarray, forward: np.ndarray, distance_m: float, aspect: float) -> Sight:

@@ -114,9 +114,13 @@ class MapChooser:
         """Removes what was sent."""
         self._inbox.close()
 
+    def has(self, name: str) -> bool:
+        """Whether there is a map of this name to choose."""
+        return name in self._maps
+
     def choose(self, name: str) -> None:
         """Takes a map that comes along."""
-        if name in self._maps:
+        if self.has(name):
             self._take(name, lambda: load_map(self._maps[name]))
 
     def take(self, file: UploadedFile) -> None:

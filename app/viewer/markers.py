@@ -8,8 +8,9 @@ import numpy as np
 import viser
 
 from app.pictures.canvas import GOAL, LEFT, RIGHT
-from app.viewer.scene import FLOOR_RGB, Rgb, blended, quad_faces, turned
-from app.viewer.session import Snapshot
+from app.viewer.scene import FLOOR_RGB, Rgb, blended, turned
+from app.viewer.sheet import Sheet
+from app.viewer.snapshot import Snapshot
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan, Pose
 from planner.robot_model import FootShape, Side
@@ -26,9 +27,6 @@ PATH_WIDTH_M = 0.025
 # Above one another, so that no two fight for the same pixels.
 _PLANNED_Z_M, _PATH_Z_M, _PLACED_Z_M, _NEXT_Z_M = 0.005, 0.008, 0.011, 0.014
 _EDGE_M = 0.016
-_OUT_OF_SIGHT_M = -1.0
-# Rectangles that a mesh has room for at first.
-_ROOM = 128
 _ARROW_Z_M = 0.04
 _WORD_M = (0.18, 0.0, 0.12)
 _NO_STEPS = np.zeros(0, np.int8), np.zeros((0, 4))
@@ -39,7 +37,7 @@ class Footprints:
 
     def __init__(self, scene: viser.SceneApi, grid: OccupancyGrid, foot: FootShape) -> None:
         self._scene, self._grid = scene, grid
-        self._sheets: dict[str, _Sheet] = {}
+        self._sheets: dict[str, Sheet] = {}
         length_m, width_m = foot.length_m, foot.width_m
         x_m, y_m = (length_m - _EDGE_M) / 2, (width_m - _EDGE_M) / 2
         plate = _rectangles((0, 0, length_m, width_m))
@@ -97,46 +95,10 @@ class Footprints:
             sheet = self._sheet(f"/steps/{kind}_{foot.name.lower()}", height_m, rgb)
             sheet.show(corners, np.repeat(poses[:, 2], len(shape)))
 
-    def _sheet(self, name: str, height_m: float, rgb: Rgb) -> _Sheet:
+    def _sheet(self, name: str, height_m: float, rgb: Rgb) -> Sheet:
         if name not in self._sheets:
-            self._sheets[name] = _Sheet(self._scene, name, height_m, rgb)
+            self._sheets[name] = Sheet(self._scene, name, height_m, rgb)
         return self._sheets[name]
-
-
-class _Sheet:
-    """Rectangles on the floor as one mesh with room for more.
-
-    Only its vertices are ever sent anew, those that are not needed all at one point: a browser
-    that gets a node of the same name again may show the old one for long, or none.
-    """
-
-    def __init__(self, scene: viser.SceneApi, name: str, height_m: float, rgb: Rgb) -> None:
-        self._scene, self._name, self._height_m, self._rgb = scene, name, height_m, rgb
-        self._room = 0
-        self._mesh: viser.MeshHandle | None = None
-
-    def show(self, corners: np.ndarray, ground_m: np.ndarray) -> None:
-        """Shows rectangles with corners (..., 4, 2), counter-clockwise in the world.
-
-        ground_m (n,): the height of the floor on which each of them lies.
-        """
-        xy = corners.reshape(-1, 2)
-        needed = len(xy) // 4
-        if self._mesh is None or needed > self._room:
-            self._room = max(_ROOM, 2 * needed)
-            self._mesh = self._scene.add_mesh_simple(
-                self._name,
-                np.zeros((4 * self._room, 3), np.float32),
-                quad_faces(self._room).astype(np.uint32),
-                color=self._rgb,
-                side="double",
-                cast_shadow=False,
-            )
-        vertices = np.zeros((4 * self._room, 3), np.float32)
-        vertices[:, 2] = _OUT_OF_SIGHT_M
-        vertices[: len(xy), :2] = xy
-        vertices[: len(xy), 2] = np.repeat(ground_m, 4) + self._height_m
-        self._mesh.vertices = vertices
 
 
 def _rectangles(*rectangles: tuple[float, float, float, float]) -> np.ndarray:
@@ -168,8 +130,11 @@ class Marker:
             head_length=0.14,
             visible=False,
         )
+        self._word: viser.LabelHandle | None = None
         if word:
-            scene.add_label(f"{name}/word", word, position=_WORD_M, anchor="bottom-center")
+            self._word = scene.add_label(
+                f"{name}/word", word, position=_WORD_M, anchor="bottom-center"
+            )
 
     def show(self, pose: Sequence[float] | None) -> None:
         """Puts it at the pose x_m, y_m, yaw_rad; None hides it."""
@@ -177,6 +142,11 @@ class Marker:
         if pose is not None:
             self._arrow.position = (pose[0], pose[1], self._height_m(pose) + _ARROW_Z_M)
             self._arrow.wxyz = turned(pose[2])
+
+    def say(self, word: str) -> None:
+        """Writes another word at it, if it has one."""
+        if self._word is not None:
+            self._word.text = word
 
 
 class PoseMarkers:

@@ -127,16 +127,24 @@ class ObstacleEditor:
         if why := self._is_refused(obstacle):
             self._on_refused(why)
             return
-        drawn = self._scene.add_box(
-            f"/map/box_{obstacle.number}",
-            color=BOX_RGB,
-            dimensions=(obstacle.size_x_m, obstacle.size_y_m, WALL_HEIGHT_M),
-            position=self._middle(obstacle),
-        )
-        drawn.on_click(self._on_click)
-        self._obstacles[obstacle.number], self._drawn[obstacle.number] = obstacle, drawn
-        self._listen(obstacle.number)
+        self._obstacles[obstacle.number] = obstacle
+        self._draw(obstacle)
         self._changed()
+
+    def put(self, obstacles: Iterable[Obstacle]) -> None:
+        """Shows these boxes and no others, which somebody else has set."""
+        wanted = {obstacle.number: obstacle for obstacle in obstacles}
+        for number in set(self._drawn) - set(wanted):
+            self._drawn.pop(number).remove()
+        # Their order says which was added last.
+        self._obstacles = wanted
+        for number, obstacle in wanted.items():
+            if number not in self._drawn:
+                self._draw(obstacle)
+                continue
+            drawn = self._drawn[number]
+            drawn.position = self._middle(obstacle)
+            drawn.dimensions = obstacle.size_x_m, obstacle.size_y_m, WALL_HEIGHT_M
 
     def remove_last(self) -> None:
         """Takes the box away that was added last."""
@@ -156,6 +164,17 @@ class ObstacleEditor:
         if self._obstacles.pop(number, None) is not None:
             self._drawn.pop(number).remove()
             self._changed()
+
+    def _draw(self, obstacle: Obstacle) -> None:
+        drawn = self._scene.add_box(
+            f"/map/box_{obstacle.number}",
+            color=BOX_RGB,
+            dimensions=(obstacle.size_x_m, obstacle.size_y_m, WALL_HEIGHT_M),
+            position=self._middle(obstacle),
+        )
+        drawn.on_click(self._on_click)
+        self._drawn[obstacle.number] = drawn
+        self._listen(obstacle.number)
 
     def _changed(self) -> None:
         self._on_change(tuple(self._obstacles.values()))

@@ -15,13 +15,16 @@ from numpy.typing import ArrayLike
 
 from app.navigation.live_navigator import Notice
 from app.navigation.planner_process import somewhere_to_stand
+from app.navigation.route import Waypoint
 from app.options import load_walker
 from app.viewer.access import Access
+from app.viewer.address import Addresses, Link, is_same
 from app.viewer.camera import Cameras
 from app.viewer.map_chooser import MapChooser
 from app.viewer.markers import Footprints, PoseMarkers
 from app.viewer.obstacles import Obstacle, ObstacleEditor
 from app.viewer.panel import Panel
+from app.viewer.planner_marks import PlannerMarks, SearchMarks
 from app.viewer.pointer import (
     FLOOR,
     ROBOT,
@@ -35,7 +38,10 @@ from app.viewer.pointer import (
 )
 from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
-from app.viewer.session import Session, Snapshot
+from app.viewer.session import Session
+from app.viewer.snapshot import Snapshot
+from app.viewer.theme import ThemeSwitches
+from app.viewer.waypoints import WaypointMarkers
 from controller.observation import pelvis_yaw_rad
 from controller.walker import Controller
 from maps.grid import OccupancyGrid
@@ -58,11 +64,19 @@ class Maps(NamedTuple):
     chosen: str
 
 
+class WantedMap(NamedTuple):
+    """A map that somebody has chosen: a place to stand on it, and the link that asked for it."""
+
+    name: str
+    grid: OccupancyGrid
+    start: Pose
+    link: Link | None = None
+
+
 class Page:
     """Shows a session to whoever opens the page, and passes their commands on.
 
-    `wanted_map` is what somebody has chosen instead of this map: its name, the map, and a place to
-    stand on it.
+    `wanted_map` is what somebody has chosen instead of this map.
 
     Words are shown anew every `text_every_s`, plots every `plot_every_s`, all else at every frame.
     """
@@ -94,8 +108,13 @@ class Page:
             on_pose=self._pointed,
             meets_robot=self._meets_robot,
             on_drag=self._hold_camera,
+            on_waypoint=self._waypoint_pointed,
         )
+        self._planner_marks, self._search_marks = PlannerMarks(scene), SearchMarks(scene)
         self._pose_markers = PoseMarkers(scene, lambda pose: self._pointer.surface.height_m(pose))
+        self._waypoint_markers = WaypointMarkers(
+            scene, lambda pose: self._pointer.surface.height_m(pose)
+        )
         self.obstacle_editor = ObstacleEditor(
             scene,
             grid,
@@ -115,8 +134,10 @@ class Page:
             set_robot=self._set_robot,
             use_tool=self._use,
             toggle_follow=lambda client_id: self.cameras.toggle(client_id),
+            say=self._say,
         )
-        self.wanted_map: tuple[str, OccupancyGrid, Pose] | None = None
+        self.wanted_map: WantedMap | None = None
+        self._link: Link | None = None
         self.map_chooser: MapChooser | None = None
         if maps is not None:
             with server.gui.add_folder("Map", order=self.panel.map_order, expand_by_default=False):
@@ -124,6 +145,8 @@ class Page:
                     server.gui, maps=maps.all, chosen=maps.chosen, on_map=self._want, say=self._say
                 )
         self.cameras = Cameras(server, grid, order=self.panel.switch_order)
+        self._themes = ThemeSwitches(server, order=self.panel.theme_order)
+        self._addresses = Addresses(server, follow=self.follow, say=self._say)
         # Whoever goes in the middle of a drag points at nothing any more.
         server.on_client_disconnect(lambda _client: self._pose_markers.point(None))
 
@@ -132,7 +155,46 @@ class Page:
         if start is None:
             self._say(f"{name}: the robot can stand nowhere on this map")
         else:
-            self.wanted_map = name, grid, start
+            self.wanted_map = WantedMap(name, grid, start, self._link)
+
+    @property
+    def link(self) -> Link:
+        """What opens a page like this one."""
+        now, setup = self.session.snapshot, self.session.setup
+        goal = now.requested or now.goal
+        return Link(
+            map=setup.map_name,
+            robot=setup.robot.option,
+            start=now.start,
+            via=now.waypoints,
+            goal=goal,
+        )
+
+    def follow(self, link: Link) -> None:
+        """Does what a link asks for; what is so already stays as it is."""
+        now = self.link
+        if link.map not in ("", now.map):
+            if self.map_chooser is None or not self.map_chooser.has(link.map):
+                self._say(f"the map {link.map} of the link is not here: choose or send it")
+                return
+            self._link = link
+            self.map_chooser.choose(link.map)
+            self._link = None
+            return
+        begins_anew = link.robot not in ("", now.robot)
+        if begins_anew and link.robot not in self.panel.robot.options:
+            self._say(f"the robot {link.robot} of the link is not here")
+            return
+        if begins_anew:
+            self.panel.robot.value = link.robot
+        if link.start is not None and not is_same(link.start, now.start):
+            self.session.reset(link.start)
+            begins_anew = True
+        is_other_goal = link.goal is not None and not is_same(link.goal, now.goal)
+        if begins_anew or is_other_goal or not link.leaves(now.via):
+            self.session.set_waypoints(link.via)
+        if link.goal is not None and (begins_anew or is_other_goal):
+            self.session.go_to(link.goal)
 
     @property
     def visitors(self) -> int:
@@ -158,14 +220,22 @@ class Page:
                 return  # The robot has just been exchanged for another one.
             self._robot_scene.pose(snapshot.qpos)
             self._pose_markers.show(snapshot)
+            self._waypoint_markers.show(snapshot.waypoints)
+            self._planner_marks.show(snapshot.notice, self.session.setup.world)
+            self._search_marks.show(snapshot.answer, self.session.setup.world)
             self._show_steps(snapshot)
+            if self._shown is not None and snapshot.restores != self._shown.restores:
+                self.obstacle_editor.put(snapshot.obstacles)
+                self._pointer.surface = self._bare_surface.with_boxes(snapshot.obstacles)
             self._shown = snapshot
         place = snapshot.qpos[:2]
         ground_m = np.array([*place, float(self._grid.height_m(place))])
         self.cameras.show(ground_m, float(pelvis_yaw_rad(snapshot.qpos[None])[0]))
+        self._themes.show()
         now_s = time.monotonic()
         if now_s - self._text_s >= self.text_every_s:
             self._text_s = now_s
+            self._addresses.show(self.link)
             self.panel.show(snapshot, self._notice if now_s < self._notice_until_s else None)
         if now_s - self._plot_s >= self.plot_every_s:
             self._plot_s = now_s
@@ -200,6 +270,19 @@ class Page:
             self.session.reset(pose)
         elif is_final:
             self.session.go_to(pose, in_the_way=_IN_THE_WAY.get(min(on, 0), ""))
+
+    def _waypoint_pointed(self, pointed: Pointed, on: int) -> None:
+        if on != FLOOR:
+            self._say("a waypoint lies on the floor")
+            return
+        now = self.session.snapshot
+        qpos = now.qpos
+        before = (float(qpos[0]), float(qpos[1])), float(pelvis_yaw_rad(qpos[None])[0])
+        if now.waypoints:
+            pose = now.waypoints[-1].pose
+            before = pose[:2], pose[2]
+        waypoint = Waypoint(pose=facing(pointed, *before), stands=self.panel.waypoints.stands)
+        self.session.add_waypoint(waypoint)
 
     def _box_pointed(self, pointed: Pointed, on: int) -> None:
         if on == ROBOT:
@@ -252,6 +335,7 @@ def open_page(
     policy: Controller,
     *,
     title: str,
+    map_name: str = "",
     host: str = LOCAL,
     names: Sequence[str] = (),
     access: Access | None = None,
@@ -277,7 +361,16 @@ def open_page(
     with contextlib.ExitStack() as stack:
         server = open_server(host=host, port=port, title=title, names=names, access=access)
         stack.callback(server.stop)
-        session = Session(grid, robot, policy, start=start, goal=goal, options=options, seed=seed)
+        session = Session(
+            grid,
+            robot,
+            policy,
+            start=start,
+            goal=goal,
+            options=options,
+            seed=seed,
+            map_name=map_name,
+        )
         stack.callback(session.close)
         choice = tuple(dict.fromkeys((*robot_names(), *robots, robot.option)))
         page = Page(server, session, robots=choice, load=load, maps=maps)

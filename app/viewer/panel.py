@@ -13,20 +13,25 @@ import viser
 from viser import uplot
 
 from app.navigation.live_navigator import Notice
+from app.viewer.downloads import Downloads
 from app.viewer.markers import SIDE_RGB
 from app.viewer.obstacles import ObstacleEditor
 from app.viewer.pointer import Tool
-from app.viewer.session import Session, Snapshot
+from app.viewer.session import Session
+from app.viewer.snapshot import Snapshot
+from app.viewer.waypoints import WaypointFields
 from planner.options import PLANNERS
 from planner.plan import Pose
 from planner.robot_model import Side
+from planner.search.search_record import SearchRecord
 
 SPEEDS = {"Pause": 0.0, "Slow": 0.25, "1x": 1.0, "Fastest": math.inf}
 # Stands before the name on the button that is pressed: viser's buttons all look alike.
 CHOSEN = "✓ "
 _GO_THERE, _PUT_THERE = "Go to the nearest free pose", "Put the robot at the nearest free pose"
 _HINTS = {
-    Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks.",
+    Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks. "
+    "With Shift held a click adds a waypoint.",
     Tool.BOX: "**Box**: click the floor to set a box down, click a box to take it away, drag it to "
     "move it.",
     Tool.ROBOT: "**Robot**: click or drag where the robot is to be put. The walk begins anew.",
@@ -44,9 +49,10 @@ _GREY = "#8a8f98"
 class Panel:
     """Controls of all pages that watch: what one does, the others see.
 
-    `goal` and `start` are the poses that can be typed, `notice` is what went wrong, in words.
+    `goal` and `start` are the poses that can be typed, `notice` is what went wrong, in words,
+    `waypoints` their list, `downloads` the files about the walk, `robot` the choice of a robot.
     `switch_order` is where a page's own switches stand: between walk and goal; `map_order` where it
-    lets choose a map: before the plots.
+    lets choose a map: before the plots; `theme_order` where it chooses light or dark: after them.
     """
 
     def __init__(
@@ -59,6 +65,7 @@ class Panel:
         set_robot: Callable[[str], None],
         use_tool: Callable[[Tool], None],
         toggle_follow: Callable[[int | None], None],
+        say: Callable[[str], None],
     ) -> None:
         self._gui, self._session, self._use_tool = gui, session, use_tool
         self._heard: Notice | None = None
@@ -75,9 +82,16 @@ class Panel:
         walk = {"Stop": session.stop, "Reset": session.reset}
         buttons = gui.add_button_group("Walk", list(walk))
         buttons.on_click(lambda event: walk[event.target.value]())
+        edits = {"Undo": session.undo, "Redo": session.redo}
+        buttons = gui.add_button_group(
+            "Edits", list(edits), hint="Of goal, start and boxes: taken back, and made again."
+        )
+        buttons.on_click(lambda event: edits[event.target.value]())
         with gui.add_folder("Goal") as folder:
             self.goal = PoseFields(gui, "", "Go", session.go_to)
         self.switch_order = folder.order - 0.5
+        with gui.add_folder("Waypoints", expand_by_default=False):
+            self.waypoints = WaypointFields(gui, set_waypoints=session.set_waypoints, say=say)
         with gui.add_folder("Start", expand_by_default=False):
             self.start = PoseFields(gui, "start ", "Put the robot there", session.reset)
         with gui.add_folder("Boxes", expand_by_default=False):
@@ -88,16 +102,17 @@ class Panel:
             clear.on_click(lambda _event: obstacle_editor.clear())
         with gui.add_folder("Robot and planner", expand_by_default=False):
             chosen = session.setup.robot.option
-            self.robot = gui.add_dropdown("Robot", robots, initial_value=chosen)
+            # Any: viser's types say that the value of a choice cannot be set.
+            self.robot: Any = gui.add_dropdown("Robot", robots, initial_value=chosen)
             self.robot.on_update(lambda _event: set_robot(self.robot.value))
             self._add_planner_options()
         with gui.add_folder("Save", expand_by_default=False):
-            for name in ("plan.json", "report.json"):
-                gui.add_button(name).on_click(partial(self._save, name))
+            self.downloads = Downloads(gui, session)
         with gui.add_folder("Plots") as folder:
             self._gait = gui.add_markdown("", visible=False)
             self.plots = Plots(gui)
         self.map_order = folder.order - 0.5
+        self.theme_order = folder.order + 0.5
         self._keys: dict[str, str] = {}
         for tool, key in _TOOL_KEYS.items():
             self._add_key(f"Pointer: {tool}", key, partial(self.use_tool, tool))
@@ -108,6 +123,8 @@ class Panel:
         self._add_key("Stop", "X", session.stop)
         self._add_key("Reset", "0", session.reset)
         self._add_key("Remove the last box", "backspace", obstacle_editor.remove_last)
+        self._add_key("Undo", "Z", session.undo, "cmd/ctrl")
+        self._add_key("Redo", "Z", session.redo, "cmd/ctrl+shift")
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_markdown("\n".join(f"- **{key}** {does}" for key, does in self._keys.items()))
 
@@ -127,8 +144,10 @@ class Panel:
         is_start = notice is not None and notice.puts_robot
         self.start.show(snapshot.start)
         self.goal.show(snapshot.requested or snapshot.goal)
+        self.waypoints.show(snapshot.waypoints)
         if refused is not None:
             (self.start if is_start else self.goal).correct(refused)
+        self.plots.show_search(None if snapshot.answer is None else snapshot.answer.record)
         if snapshot.gait != self._gait.content:
             self._gait.content, self._gait.visible = snapshot.gait, bool(snapshot.gait)
         if is_news:
@@ -140,23 +159,6 @@ class Panel:
         self._take_offer.visible = notice is not None and notice.alternative is not None
         if notice is not None and notice.alternative is not None:
             self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
-
-    def _save(self, name: str, event: viser.GuiEvent[Any]) -> None:
-        """Gives a page a file about the walk that is seen, or says what there is to wait for."""
-        client = event.client
-        plan, report = self._session.snapshot.plan, self._session.report()
-        text = None
-        if name == "plan.json" and plan is not None:
-            text = plan.to_json() + "\n"
-        elif name == "report.json" and report is not None:
-            text = report.to_json()
-        if client is None:
-            return
-        if text is None:
-            waits = "a goal" if name == "plan.json" else "the end of the walk"
-            client.add_notification(name, f"There is none before {waits}.", auto_close_seconds=5.0)
-        else:
-            client.send_file_download(name, text.encode(), save_immediately=True)
 
     def take_offer(self) -> None:
         """Goes to the pose that would do instead of a refused one, or puts the robot there."""
@@ -188,18 +190,35 @@ class Panel:
             hint="The heuristic's weight in the first search: large is quick, 1 is best at once.",
         )
 
+        shows_search = self._gui.add_checkbox(
+            "Show the search",
+            initial_value=options.record,
+            hint="Expanded cells on the floor and cost over time among the plots, from the next "
+            "goal on. Planner ara has them; planning takes a little longer.",
+        )
+
         def changed(_event: Any) -> None:
-            self._session.set_options(replace(options, name=planner.value, epsilon=epsilon.value))
+            self._session.set_options(
+                replace(
+                    options,
+                    name=planner.value,
+                    epsilon=epsilon.value,
+                    record=shows_search.value,
+                )
+            )
 
-        planner.on_update(changed)
-        epsilon.on_update(changed)
+        for control in (planner, epsilon, shows_search):
+            control.on_update(changed)
 
-    def _add_key(self, label: str, key: Any, action: Callable[[], None]) -> None:
-        self._add_command(label, key).on_trigger(lambda _event: action())
+    def _add_key(
+        self, label: str, key: Any, action: Callable[[], None], modifier: Any = None
+    ) -> None:
+        self._add_command(label, key, modifier).on_trigger(lambda _event: action())
 
-    def _add_command(self, label: str, key: Any) -> Any:
-        self._keys[key] = label
-        return self._gui.add_command(label, hotkey=key)
+    def _add_command(self, label: str, key: Any, modifier: Any = None) -> Any:
+        held = "" if modifier is None else f"{modifier.replace('cmd/ctrl', 'Ctrl')}+"
+        self._keys[f"{held}{key}"] = label
+        return self._gui.add_command(label, hotkey=key, modifier=modifier)
 
 
 class PoseFields:
@@ -235,13 +254,18 @@ class PoseFields:
 
 
 class Plots:
-    """How far each foot came down from its step, and what the feet carry, as two plots."""
+    """How far each foot came down from its step, what the feet carry, and how the search went."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._latest_s = 0.0
         points = uplot.Series(width=1, points={"show": True})
         self._errors = _add_plot(gui, "Foot from its step, cm", "step", points)
         self._forces = _add_plot(gui, "Ground force, N", "s", uplot.Series(width=2))
+        self._search = _add_plot(
+            gui, "Cost over time, m", "ms", uplot.Series(width=2), names=("plan", "lower bound")
+        )
+        self._search.visible = False
+        self._record: SearchRecord | None = None
 
     def show_errors(self, side: np.ndarray, error_m: np.ndarray) -> None:
         """Errors (N,) of the steps of each side, in the order of the walk."""
@@ -254,6 +278,17 @@ class Plots:
         left, right = (100 * np.append(0.0, error_m)[steps][shown] for steps in latest)
         self._errors.data = (number[shown].astype(float), left, right)
 
+    def show_search(self, record: SearchRecord | None) -> None:
+        """Cost of the best plan and lower bound from the first plan on; nothing where none is."""
+        if record is self._record:
+            return
+        self._record = record
+        found = np.zeros(0, bool) if record is None else np.isfinite(record.cost_m)
+        self._search.visible = bool(found.any())
+        if record is not None and found.any():
+            bound_m = np.maximum.accumulate(record.lower_bound_m)
+            self._search.data = (1e3 * record.time_s[found], record.cost_m[found], bound_m[found])
+
     def show_forces(self, forces: np.ndarray) -> None:
         """Time in s, left and right force in N: (3, T); nothing is sent where time stands still."""
         if forces[0, -1] == self._latest_s:
@@ -263,22 +298,26 @@ class Plots:
 
 
 def _add_plot(
-    gui: viser.GuiApi, title: str, across: str, line: uplot.Series
+    gui: viser.GuiApi,
+    title: str,
+    across: str,
+    line: uplot.Series,
+    names: tuple[str, str] = ("left", "right"),
 ) -> viser.GuiUplotHandle:
-    """A plot with such a line for each foot; the title ends with the unit."""
+    """A plot with two such lines, of the feet unless named; the title ends with the unit."""
     unit = title.rpartition(" ")[2]
     axis = uplot.Axis(stroke=_GREY, grid={"stroke": _GREY + "40"}, ticks={"stroke": _GREY})
-    feet: list[uplot.Series] = [
+    lines: list[uplot.Series] = [
         {
             **line,
-            "label": f"{side.name.lower()} {unit}",
+            "label": f"{names[side]} {unit}",
             "stroke": "#{:02x}{:02x}{:02x}".format(*SIDE_RGB[side]),
         }
         for side in Side
     ]
     return gui.add_uplot(
         (np.zeros(1),) * 3,
-        (uplot.Series(label=across), *feet),
+        (uplot.Series(label=across), *lines),
         title=title,
         scales={"x": {"time": False}},
         axes=(axis, axis),

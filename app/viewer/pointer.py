@@ -158,8 +158,9 @@ class FloorPointer:
 
     `on_pose(pointed, on, is_final)` is called also while a drag goes on; a click leaves the heading
     open. `on` says what was hit, see `SurfaceHit`. `on_drag(client_id)` is called for each piece of
-    a drag. `meets_robot(origin, direction)` says how far along a ray the robot is met, and where it
-    stands; `surface` is what else it may meet.
+    a drag, `on_waypoint(pointed, on)` for a click with Shift held. `meets_robot(origin, direction)`
+    says how far along a ray the robot is met, and where it stands; `surface` is what else it may
+    meet.
     """
 
     def __init__(
@@ -170,13 +171,16 @@ class FloorPointer:
         on_pose: Callable[[Pointed, int, bool], None],
         meets_robot: Callable[[ArrayLike, ArrayLike], tuple[float, SurfaceHit]],
         on_drag: Callable[[int], None] = lambda _client_id: None,
+        on_waypoint: Callable[[Pointed, int], None] = lambda _pointed, _on: None,
     ) -> None:
         self._on_pose, self._on_drag, self._meets_robot = on_pose, on_drag, meets_robot
+        self._on_waypoint = on_waypoint
         # What the drag of each page began on.
         self._begun: dict[int, SurfaceHit | None] = {}
         self.surface = surface
         self._floor, self._drags = floor, False
         floor.on_click(self.clicked)
+        floor.on_click(modifier="shift")(self._shift_clicked)
         self.use(Tool.GOAL)
 
     def use(self, tool: Tool) -> None:
@@ -197,6 +201,11 @@ class FloorPointer:
         met = self._met(event.ray_origin, event.ray_direction)
         if met is not None and self._tool is not Tool.LOOK:
             self._on_pose(Pointed(met.x_m, met.y_m), met.on, True)
+
+    async def _shift_clicked(self, event: viser.SceneNodePointerEvent) -> None:
+        met = self._met(event.ray_origin, event.ray_direction)
+        if met is not None and self._tool is Tool.GOAL:
+            self._on_waypoint(Pointed(met.x_m, met.y_m), met.on)
 
     async def _dragged(self, event: viser.SceneNodeDragEvent) -> None:
         page = event.client.client_id

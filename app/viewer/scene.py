@@ -22,11 +22,6 @@ from maps.grid import Cell, OccupancyGrid
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP, Robot
 from sim.scene import WALL_HEIGHT_M, build_scene
 
-FLOOR_RGB = (205, 208, 212)
-LINE_RGB = (178, 182, 188)
-WALL_RGB = (150, 134, 114)
-UNKNOWN_RGB = (150, 153, 158)
-HIGHEST_RGB = (214, 190, 152)
 _FLOOR_THICKNESS_M = 0.02
 # So deep that the colour does not shine through the floor far from the camera.
 _SLAB_DEPTH_M = 0.3
@@ -39,6 +34,47 @@ _CAPSULE_SIDES = 16
 ROBOT_ROOT = "/robot"
 FloatArray = NDArray[np.float64]
 Rgb = tuple[int, int, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Palette:
+    """The colours of a map: floor, the lines on it, walls, unknown ground, the highest floor."""
+
+    floor: Rgb
+    line: Rgb
+    wall: Rgb
+    unknown: Rgb
+    highest: Rgb
+
+
+LIGHT = Palette(
+    floor=(205, 208, 212),
+    line=(178, 182, 188),
+    wall=(150, 134, 114),
+    unknown=(150, 153, 158),
+    highest=(214, 190, 152),
+)
+DARK = Palette(
+    floor=(58, 62, 68),
+    line=(82, 87, 95),
+    wall=(112, 100, 85),
+    unknown=(36, 38, 42),
+    highest=(112, 94, 66),
+)
+FLOOR_RGB = LIGHT.floor
+
+
+def map_colours(palette: Palette) -> dict[str, dict[str, Rgb]]:
+    """The colours of all nodes that `add_floor` may draw: by the node's name, by its property."""
+    shades = {
+        f"ground/{shade}": blended(palette.floor, palette.highest, shade / _SHADES)
+        for shade in range(1, _SHADES + 1)
+    }
+    plain = {"floor": palette.floor, "slab": palette.floor, "walls": palette.wall}
+    return {
+        f"/map/{name}": {"color": rgb}
+        for name, rgb in (plain | {"unknown": palette.unknown} | shades).items()
+    } | {"/map/lines": {"cell_color": palette.line, "section_color": palette.line}}
 
 
 def solid(
@@ -120,13 +156,13 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     scene.add_frame("/map", show_axes=False, position=(x_m, y_m, 0.0), wxyz=turned(yaw_rad))
     centre = (width_m / 2, height_m / 2)
     terraces = terraces_of(grid, grid.cells == Cell.OCCUPIED)
-    lowest_m = terraces.lowest_m
+    lowest_m, colours = terraces.lowest_m, map_colours(LIGHT)
     for name, depth_m in (("floor", _FLOOR_THICKNESS_M / 2), ("slab", _SLAB_DEPTH_M)):
         # Nobody sees the slab past the floor's edge from where nothing but the floor hides it.
         inset_m = 0.0 if name == "floor" else min(_SLAB_DEPTH_M, width_m / 4, height_m / 4)
         slab = scene.add_box(
             f"/map/{name}",
-            color=FLOOR_RGB,
+            color=colours[f"/map/{name}"]["color"],
             dimensions=(width_m - 2 * inset_m, height_m - 2 * inset_m, _FLOOR_THICKNESS_M),
             position=(*centre, lowest_m - depth_m),
             cast_shadow=False,
@@ -137,17 +173,17 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
         height=height_m,
         cell_size=0.5,
         section_size=1.0,
-        cell_color=LINE_RGB,
-        section_color=LINE_RGB,
+        cell_color=LIGHT.line,
+        section_color=LIGHT.line,
         cell_thickness=0.6,
         section_thickness=1.0,
         position=(*centre, lowest_m + _LINES_HEIGHT_M),
         shadow_opacity=0.0,
     )
     plates = plates_of(grid, grid.cells == Cell.UNKNOWN)
-    for name, boxes, rise_m, rgb in (
-        ("walls", terraces.walls, WALL_HEIGHT_M, WALL_RGB),
-        ("unknown", plates, _UNKNOWN_HEIGHT_M, UNKNOWN_RGB),
+    for name, boxes, rise_m in (
+        ("walls", terraces.walls, WALL_HEIGHT_M),
+        ("unknown", plates, _UNKNOWN_HEIGHT_M),
         *_ground_by_shade(terraces),
     ):
         if len(boxes):
@@ -156,19 +192,18 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
                 f"/map/{name}",
                 mesh[0].astype(np.float32),
                 mesh[1].astype(np.uint32),
-                color=rgb,
+                color=colours[f"/map/{name}"]["color"],
                 flat_shading=True,
             )
     return slab
 
 
-def _ground_by_shade(terraces: Terraces) -> Iterator[tuple[str, FloatArray, float, Rgb]]:
-    """The floor that is higher than the lowest, browner with height: name, boxes, rise, colour."""
+def _ground_by_shade(terraces: Terraces) -> Iterator[tuple[str, FloatArray, float]]:
+    """The floor that is higher than the lowest, browner with height: name, boxes and rise."""
     above_m = terraces.ground[:, 4] - terraces.lowest_m
     shades = np.ceil(_SHADES * above_m / max(above_m, default=1.0)).astype(int)
     for shade in range(1, _SHADES + 1):
-        rgb = blended(FLOOR_RGB, HIGHEST_RGB, shade / _SHADES)
-        yield f"ground/{shade}", terraces.ground[shades == shade], 0.0, rgb
+        yield f"ground/{shade}", terraces.ground[shades == shade], 0.0
 
 
 def blended(rgb: Rgb, other: Rgb, share: float) -> Rgb:

@@ -8,12 +8,15 @@ import io
 import socket
 from collections.abc import AsyncGenerator, Sequence
 from functools import partial
+from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
 import viser
+from viser._messages import RunJavascriptMessage
 
 from app.output import InputError
 from app.viewer.access import ANY_ADDRESS, KEY, Access, guarding, refuse
+from app.viewer.html_page import OpenedLinks, dressed
 
 LOCAL = "127.0.0.1"
 
@@ -51,6 +54,7 @@ def skip_superseded(buffer: Any) -> None:
     viser looks up all messages that there ever were whenever a page opens: half a second for each
     hour that a robot walked.
     """
+    buffer.caught_up = set()
     buffer._window_loop = partial(windows, buffer)
 
 
@@ -60,8 +64,9 @@ async def windows(
     """What one page is to be sent, piece by piece, until the buffer is closed.
 
     All that is kept up to `backlog_last_id` comes first, then the message that says so, if there
-    is one, then what is new. A page that lags gets the latest of each kind. Nothing is sent that
-    is half of something: viser's `atomic`.
+    is one, then what is new; a page that has been sent the first is among `buffer.caught_up`. One
+    that lags gets the latest of each kind. Nothing is sent that is half of something: viser's
+    `atomic`.
     """
     sent_id = -1
     try:
@@ -76,6 +81,8 @@ async def windows(
                 backlog_done_message = None
             if window:
                 yield window
+                if backlog_done_message is None:
+                    buffer.caught_up.add(client_id)
             else:
                 await buffer.message_event.wait()
                 buffer.message_event.clear()
@@ -83,6 +90,7 @@ async def windows(
                 await asyncio.sleep(buffer.window_duration_sec)
     finally:
         buffer.generator_cursors.pop(client_id, None)
+        buffer.caught_up.discard(client_id)
 
 
 def _after(buffer: Any, client_id: int, sent_id: int, last_id: int) -> tuple[list[Any], int]:
@@ -104,6 +112,7 @@ class PageServer(viser.ViserServer):
     """A viser server that opens no tunnel to other networks, whatever a page asks for."""
 
     access: Access
+    links: OpenedLinks
 
     def request_share_url(self, verbose: bool = True) -> str | None:
         """Refuses: what is served here is for those who can reach this machine."""
@@ -121,6 +130,24 @@ class PageServer(viser.ViserServer):
         host = "localhost" if host in ANY_ADDRESS else f"[{host}]" if ":" in host else host
         key = f"/?{KEY}={self.access.key}" if self.access.key else ""
         return f"http://{host}:{self.get_port()}{key}"
+
+    def has_all(self, client_id: int) -> bool:
+        """Whether this page has been sent all that there was when it opened."""
+        return client_id in self.broadcast.caught_up
+
+    def cookie(self, client_id: int, name: str) -> str:
+        """What the browser of this page keeps under a name; empty where it keeps nothing."""
+        connection = self._websock_server._live_connections.get(client_id)
+        request = None if connection is None else connection.request
+        with contextlib.suppress(CookieError):
+            cookies = SimpleCookie("" if request is None else request.headers.get("Cookie", ""))
+            return cookies[name].value if name in cookies else ""
+        return ""
+
+    @staticmethod
+    def run_script(client: viser.ClientHandle, source: str) -> None:
+        """Runs JavaScript on one page, once."""
+        client._websock_connection.queue_message(RunJavascriptMessage(source=source))
 
     @property
     def broadcast(self) -> Any:
@@ -146,10 +173,13 @@ def open_server(
     """
     port = _free_port(host, port)
     # viser announces itself on standard output, which belongs to results.
-    access = access or Access.at(host, names)
-    with contextlib.redirect_stdout(io.StringIO()), guarding(access, title):
+    access, links = access or Access.at(host, names), OpenedLinks()
+    with (
+        contextlib.redirect_stdout(io.StringIO()),
+        guarding(access, partial(dressed, title=title, links=links)),
+    ):
         server = PageServer(host=host, port=port, label=title, verbose=False)
-    server.access = access
+    server.access, server.links = access, links
     _end_who_sends_nonsense(server._websock_server)
     make_thread_safe(server.broadcast)
     skip_superseded(server.broadcast)
@@ -157,8 +187,13 @@ def open_server(
     server._websock_server.on_client_connect(
         lambda connection: make_thread_safe(connection.get_message_buffer())
     )
-    server.gui.configure_theme(show_logo=False, show_share_button=False)
+    use_theme(server.gui, is_dark=False)
     return server
+
+
+def use_theme(gui: viser.GuiApi, *, is_dark: bool) -> None:
+    """Has the pages of a server, or the one of a client, look light or dark."""
+    gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=is_dark)
 
 
 def _end_who_sends_nonsense(sockets: Any) -> None:

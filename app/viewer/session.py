@@ -10,131 +10,42 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial, wraps
 from typing import Any, Concatenate, ParamSpec
 
-import numpy as np
-
-from app.navigation.live_navigator import LiveNavigator, Notice, Replanner, WalkHistory
-from app.navigation.navigator import FootstepPlanner, Navigator, NavigatorConfig
+from app.navigation.live_navigator import LiveNavigator, Notice, WalkHistory
+from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.planner_process import BlockingPlanner, PlannerProcess, World, place_to_stand
-from app.navigation.report import NavigationReport, gait_line
+from app.navigation.replanner import Replanner
+from app.navigation.report import gait_line
+from app.navigation.route import FootstepPlanner, Waypoint
 from app.output import InputError
 from app.viewer.obstacles import Obstacle, with_obstacles
+from app.viewer.scenario import EditHistory, Scenario
+from app.viewer.simulation_clock import SimulationClock
+from app.viewer.snapshot import Snapshot
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.walker import Controller
 from maps.grid import OccupancyGrid
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
-from planner.plan import FootstepPlan, Pose, finite_pose
+from planner.plan import Pose, finite_pose
 from sim.robot import Robot
 
-# Simulated time that is behind real time by more than this is not caught up.
-_FORGIVEN_S = 0.5
-_MEASURED_OVER_S = 1.0
 # A box this near to the middle of the robot would be set down on it.
 ROOM_FOR_ROBOT_M = 0.45
 _IDLE_WAIT_S = 0.05
 _SNAPSHOT_EVERY_S = 1 / 60
 _LOADING = "loading the planner"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Snapshot:
-    """The robot, its plan and its walk so far; times in s, of the simulation unless said.
-
-    `start` is where a reset puts the robot, `goal` where it walks or has walked to, `requested` a
-    goal that is being planned for. `done` steps of `plan` have been taken.
-    placed_side (N,), placed_world (N, 4) and foot_error_m (N,) tell of the steps of this walk;
-    path_world (T, 2) of the body, four points a second. `speed` is simulated over real time as it
-    is reached; `gait` how a walk went that is over; `loading` what there is to wait for before the
-    first plan; `answer_s` the real time from question to plan. `walk` counts the walks begun.
-    """
-
-    qpos: np.ndarray
-    time_s: float = 0.0
-    walk: int = 0
-    start: Pose = (0.0, 0.0, 0.0)
-    goal: Pose | None = None
-    requested: Pose | None = None
-    plan: FootstepPlan | None = None
-    done: int = 0
-    placed_side: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
-    placed_world: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-    foot_error_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    path_world: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    status: str = "standing"
-    replans: int = 0
-    answer_s: float | None = None
-    clearance_m: float | None = None
-    goal_error: tuple[float, float] | None = None
-    speed: float = 0.0
-    gait: str = ""
-    loading: str = ""
-    notice: Notice | None = None
-
-
-class SimulationClock:
-    """Real-time pacing: when the next tick is due. `factor` is simulated over real time; 0 pauses.
-
-    It may be set from any thread. While `is_idle`, time passes no faster than on the wall.
-    """
-
-    def __init__(
-        self, factor: float = 1.0, monotonic: Callable[[], float] = time.monotonic
-    ) -> None:
-        self.factor = factor
-        self.is_idle = False
-        self.reached = 0.0
-        self._monotonic = monotonic
-        self._due_s = monotonic()
-        self._since_s = monotonic()
-        self._passed_s = 0.0
-
-    @property
-    def _factor(self) -> float:
-        return min(1.0, self.factor) if self.is_idle else self.factor
-
-    def wait_s(self) -> float:
-        """Real time until the next tick is due; infinite while paused."""
-        factor = self._factor
-        if factor <= 0:
-            return math.inf
-        return 0.0 if math.isinf(factor) else max(0.0, self._due_s - self._monotonic())
-
-    def is_due(self) -> bool:
-        """Whether to tick now."""
-        self._measure()
-        return self.wait_s() <= 0.0
-
-    def ticked(self, period_s: float) -> None:
-        """Notes that so much simulated time has passed."""
-        self._passed_s += period_s
-        now_s = self._monotonic()
-        factor = self._factor
-        if math.isinf(factor) or factor <= 0:
-            self._due_s = now_s
-            return
-        self._due_s = max(self._due_s + period_s / factor, now_s - _FORGIVEN_S)
-
-    def skip(self) -> None:
-        """Notes that there was nothing to tick for: what was missed is not caught up."""
-        self._due_s = self._monotonic()
-        self._measure()
-
-    def _measure(self) -> None:
-        now_s = self._monotonic()
-        if now_s - self._since_s >= _MEASURED_OVER_S:
-            self.reached = self._passed_s / (now_s - self._since_s)
-            self._since_s, self._passed_s = now_s, 0.0
+MOST_WAYPOINTS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
 class WalkSetup:
     """All that a walk depends on besides its goal; `dataclasses.replace` makes another one.
 
-    bare_grid: the map without the boxes. start: where the robot is put.
+    bare_grid: the map without the boxes, of the name map_name. start: where the robot is put.
     """
 
     bare_grid: OccupancyGrid
@@ -144,6 +55,7 @@ class WalkSetup:
     options: PlannerOptions
     seed: int
     obstacles: tuple[Obstacle, ...] = ()
+    map_name: str = ""
 
     @cached_property
     def grid(self) -> OccupancyGrid:
@@ -203,6 +115,7 @@ class Session:
         goal: Sequence[float] | None = None,
         options: PlannerOptions | None = None,
         seed: int = 0,
+        map_name: str = "",
     ) -> None:
         """A robot that stands at the start, or with a `goal` one that walks as in `navigate`."""
         self.setup = WalkSetup(
@@ -212,6 +125,7 @@ class Session:
             start=finite_pose(start),
             options=options or PlannerOptions(),
             seed=seed,
+            map_name=map_name,
         )
         self.commands: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._ending = threading.Event()
@@ -225,6 +139,7 @@ class Session:
         self.failure: RuntimeError | None = None
         navigator = self._standing() if goal is None else self._walking(finite_pose(goal))
         self._replanner = Replanner(self._planner, self.history, navigator)
+        self._edits, self._is_edited, self._restores = EditHistory(self._scenario), False, 0
         self.snapshot = self._take_snapshot()
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
 
@@ -247,11 +162,13 @@ class Session:
     @_queued
     def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
         """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
+        self._is_edited = True
         self._replanner.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
 
     @_queued
     def stop(self) -> None:
         """Stand still as soon as possible."""
+        self._is_edited = True
         self._replanner.stop()
 
     @_queued
@@ -260,23 +177,36 @@ class Session:
 
         Where it cannot stand it is not put, and the nearest pose that is free is offered.
         """
-        wanted = self.setup.start if start is None else finite_pose(start)
-        blocked, alternative = place_to_stand(self.setup.world, wanted)
-        if blocked:
-            text = f"the robot cannot stand there: {blocked}"
-            self._replanner.notice = Notice(
-                text=text, refused=wanted, alternative=alternative, puts_robot=True
-            )
-            return
-        self.setup = replace(self.setup, start=wanted)
-        self._replanner.take(self._standing())
+        self._is_edited = True
+        self._put(self.setup.start if start is None else finite_pose(start))
 
     @_queued
     def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
         """These boxes stand on the map from now on, for planner and physics."""
-        self._change(obstacles=tuple(obstacles))
-        self._replanner.navigator.set_grid(self.setup.grid, self._planner)
-        self._replanner.plan_anew()
+        self._is_edited = True
+        self._set_obstacles(tuple(obstacles))
+
+    @_queued
+    def set_waypoints(self, waypoints: Sequence[Waypoint]) -> None:
+        """The way to the goal leads through these from now on, in their order."""
+        self._is_edited = True
+        self._set_waypoints(tuple(waypoints))
+
+    @_queued
+    def add_waypoint(self, waypoint: Waypoint) -> None:
+        """The way to the goal leads through this one too, after the others."""
+        self._is_edited = True
+        self._set_waypoints((*self._replanner.waypoints, waypoint))
+
+    @_queued
+    def undo(self) -> None:
+        """Takes the last edit of start, goal, waypoints or boxes back."""
+        self._restore(self._edits.undo(), "undo")
+
+    @_queued
+    def redo(self) -> None:
+        """Makes the edit again that was taken back last."""
+        self._restore(self._edits.redo(), "redo")
 
     @_queued
     def set_robot(self, robot: Robot, policy: Controller) -> None:
@@ -290,10 +220,12 @@ class Session:
         self._change(options=options)
         self._replanner.plan_anew()
 
-    def report(self) -> NavigationReport | None:
-        """What the walk came to; None while it goes on, and where there was none."""
-        navigator = copy.copy(self._replanner.navigator)
-        return None if navigator.outcome is None else navigator.report()
+    def walk(self) -> Navigator:
+        """The walk so far, as it is now; it stays so while the robot goes on."""
+        walk = copy.copy(self._replanner.navigator)
+        walk.plans, walk.placed = list(walk.plans), list(walk.placed)
+        walk.followed, walk.qpos = list(walk.followed), list(walk.qpos)
+        return walk
 
     def is_on_robot(self, obstacle: Obstacle) -> bool:
         """Whether there is no room for the box because the robot stands there."""
@@ -307,6 +239,7 @@ class Session:
             self.clock.is_idle = not replanner.navigator.going or replanner.question is not None
             self._run_commands(self._wait_s())
             self._try(replanner.listen)
+            self._note_edits()
             self._look_for_planner()
             if replanner.navigator.rests:
                 self.clock.skip()
@@ -331,9 +264,13 @@ class Session:
     def _run_commands(self, wait_s: float) -> None:
         """Carries out all that are there; waits for one for so long."""
         with contextlib.suppress(queue.Empty):
-            self._try(self.commands.get(block=wait_s > 0, timeout=wait_s))
+            self._carry_out(self.commands.get(block=wait_s > 0, timeout=wait_s))
             while True:
-                self._try(self.commands.get_nowait())
+                self._carry_out(self.commands.get_nowait())
+
+    def _carry_out(self, command: Callable[[], None]) -> None:
+        self._try(command)
+        self._note_edits()
 
     def _wait_s(self) -> float:
         """How long nothing needs to be done, unless a command comes."""
@@ -364,9 +301,10 @@ class Session:
         self.history.ticked(navigator)
         if len(navigator.placed) > placed or navigator.has_ended:
             self.history.landed(navigator)
-        if navigator.outcome is not None and self.ended is None:
-            self.ended = copy.copy(navigator)
         self._replanner.ticked()
+        has_ended = navigator.outcome is not None and not self._replanner.goes_on
+        if has_ended and self.ended is None:
+            self.ended = copy.copy(navigator)
 
     def _show(self) -> None:
         """Now and then, and as soon as there is an answer."""
@@ -380,13 +318,12 @@ class Session:
         replanner, history = self._replanner, self.history
         navigator = replanner.navigator
         plan, done = replanner.shown_plan
-        has_goal = navigator.plans and not navigator.halted
         return Snapshot(
             qpos=navigator.qpos[-1],
             time_s=navigator.time_s,
             walk=history.walk,
             start=self.setup.start,
-            goal=finite_pose(navigator.goal) if has_goal else None,
+            goal=replanner.goal,
             requested=replanner.requested,
             plan=plan,
             done=done,
@@ -403,6 +340,10 @@ class Session:
             gait=self._gait(navigator),
             loading=self._loading,
             notice=replanner.notice,
+            obstacles=self.setup.obstacles,
+            restores=self._restores,
+            waypoints=replanner.waypoints,
+            answer=replanner.answer,
         )
 
     def _gait(self, navigator: Navigator) -> str:
@@ -413,6 +354,66 @@ class Session:
             gait = navigator.gait.summary()
             self._gait_of = navigator.gait, "" if gait is None else gait_line(gait)
         return self._gait_of[1]
+
+    @property
+    def _scenario(self) -> Scenario:
+        return Scenario(
+            start=self.setup.start,
+            goal=self._replanner.wanted,
+            waypoints=self._replanner.waypoints,
+            obstacles=self.setup.obstacles,
+        )
+
+    def _note_edits(self) -> None:
+        """Notes what people have set, and what has become of it."""
+        self._edits.note(self._scenario, is_edit=self._is_edited)
+        self._is_edited = False
+
+    def _restore(self, wanted: Scenario | None, what: str) -> None:
+        """Lets this scenario hold; a walk whose start it changes, or that failed, begins anew."""
+        if wanted is None:
+            self._replanner.notice = Notice(text=f"there is nothing to {what}")
+            return
+        self._restores += 1
+        now = self._scenario
+        begins_anew = wanted.start != now.start or self._replanner.navigator.has_ended
+        if wanted.obstacles != now.obstacles:
+            self._set_obstacles(wanted.obstacles)
+        if begins_anew:
+            self._put(wanted.start)
+        is_other_way = wanted.waypoints != now.waypoints
+        self._replanner.waypoints = wanted.waypoints
+        has_other_goal = begins_anew or wanted.goal != now.goal
+        if wanted.goal is None and has_other_goal and not begins_anew:
+            self._replanner.stop()
+        elif wanted.goal is not None and has_other_goal:
+            self._replanner.ask(wanted.goal, fresh=True)
+        elif is_other_way:
+            self._replanner.plan_anew()
+
+    def _put(self, wanted: Pose) -> None:
+        blocked, alternative = place_to_stand(self.setup.world, wanted)
+        if blocked:
+            text = f"the robot cannot stand there: {blocked}"
+            self._replanner.notice = Notice(
+                text=text, refused=wanted, alternative=alternative, puts_robot=True
+            )
+            return
+        self.setup = replace(self.setup, start=wanted)
+        self._replanner.take(self._standing())
+
+    def _set_obstacles(self, obstacles: tuple[Obstacle, ...]) -> None:
+        self._change(obstacles=obstacles)
+        self._replanner.navigator.set_grid(self.setup.grid, self._planner)
+        self._replanner.plan_anew()
+
+    def _set_waypoints(self, waypoints: tuple[Waypoint, ...]) -> None:
+        if len(waypoints) > MOST_WAYPOINTS:
+            raise InputError(f"{MOST_WAYPOINTS} waypoints are as many as there can be")
+        self._replanner.waypoints = tuple(
+            replace(waypoint, pose=finite_pose(waypoint.pose)) for waypoint in waypoints
+        )
+        self._replanner.plan_anew()
 
     def _change(self, **changes: Any) -> None:
         self.setup = replace(self.setup, **changes)
