@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from app.commands.trials import TrialsOptions, draw_trials, summarise, table, walk_one
-from app.navigation.live_navigator import LiveNavigator, Replanner, WalkHistory
+from app.navigation.live_navigator import LiveNavigator, WalkHistory
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.planner_process import PlannerProcess
+from app.navigation.replanner import Replanner
 from app.navigation.report import Outcome
 from app.pictures.rendering import fixed_boxes
 from controller.policy import Policy, load_policy

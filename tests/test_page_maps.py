@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gzip
 import http.client
+import re
 import tempfile
 from typing import Any
 
@@ -146,7 +147,7 @@ def said(page: Page) -> str:
     """What the page says to whoever watches, without its sign."""
     page.text_every_s = 0.0
     page.show(page.session.snapshot)
-    return str(page.panel.notice.content).removeprefix("⚠️ ")
+    return str(re.sub(r"<[^>]*>", "", page.panel.notice.content)).removeprefix("⚠️ ")
 
 
 def test_a_map_that_is_chosen_is_what_comes_next(page):

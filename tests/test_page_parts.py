@@ -11,7 +11,7 @@ import pytest
 from app.cli import main
 from app.output import ExitCode
 from app.viewer.obstacles import Obstacle, snapped, with_obstacles
-from app.viewer.panel import CHOSEN, SPEEDS, marked, status_text, unmarked
+from app.viewer.panel import CHOSEN, SPEEDS, in_degrees, marked, status_text, unmarked
 from app.viewer.pointer import Pointed, facing, toward
 from app.viewer.scenario import EditHistory, Scenario
 from app.viewer.scene import on_floor
@@ -188,3 +188,11 @@ def test_a_refused_goal_was_no_edit():
     history.note(refused, is_edit=True)
     history.note(first, is_edit=False)
     assert history.undo() is None
+
+
+def test_a_planners_reason_is_told_in_the_unit_of_the_page():
+    told = in_degrees(
+        "goal: the body at 2.00,2.95 would touch; the nearest free pose is 1.9,3,1.5708"
+    )
+    assert told.endswith("the nearest free pose is 1.9,3,90°")
+    assert in_degrees("no path at all") == "no path at all"

@@ -143,6 +143,13 @@ class Marker:
             self._arrow.position = (pose[0], pose[1], self._height_m(pose) + _ARROW_Z_M)
             self._arrow.wxyz = turned(pose[2])
 
+    def hang_word(self, *, is_below: bool) -> None:
+        """Writes its word below it, or as usual above."""
+        if self._word is not None:
+            x_m, y_m, z_m = _WORD_M
+            self._word.anchor = "top-center" if is_below else "bottom-center"
+            self._word.position = (x_m, y_m, -z_m / 4 if is_below else z_m)
+
     def say(self, word: str) -> None:
         """Writes another word at it, if it has one."""
         if self._word is not None:
@@ -174,4 +181,10 @@ class PoseMarkers:
         for marker, pose, before in zip(self._markers, new, self._shown, strict=True):
             if pose != before:
                 marker.show(pose)
+        refused, alternative = told
+        if new != self._shown and refused is not None and alternative is not None:
+            # As seen from the south, where a page begins: so neither word covers the other.
+            is_north = refused[1] > alternative[1]
+            self._markers[2].hang_word(is_below=not is_north)
+            self._markers[3].hang_word(is_below=is_north)
         self._shown = new

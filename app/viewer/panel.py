@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import math
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
@@ -39,6 +41,13 @@ _HINTS = {
 }
 _TOOL_KEYS: dict[Tool, Any] = {Tool.GOAL: "G", Tool.BOX: "B", Tool.ROBOT: "R", Tool.LOOK: "L"}
 _SPEED_KEYS: dict[str, Any] = {"Pause": "P", "Slow": "2", "1x": "1", "Fastest": "F"}
+# Five lines; a longer text is scrolled.
+_BOX = (
+    '<div style="height: 7.5em; line-height: 1.5; overflow-y: auto; padding: 0 0.5em;'
+    ' font-size: 0.875em">{}</div>'
+)
+# As planners name a pose: metres, and the heading in radians.
+_FREE_POSE = re.compile(r"(the nearest free pose is [^,\s]+,[^,\s]+),(-?[\d.e-]+)")
 _PLOT_HEIGHT_PX = 170
 # The latest steps are what one wants to see.
 _STEPS_SHOWN = 60
@@ -71,8 +80,10 @@ class Panel:
         self._heard: Notice | None = None
         self._text = ""
         self._status = gui.add_markdown("")
-        self.notice = gui.add_markdown("", visible=False)
-        self._take_offer = gui.add_button(_GO_THERE, color="orange", visible=False)
+        # One takes the place of the other, and the button waits: nothing moves under a pointer.
+        self._details = gui.add_html("")
+        self.notice = gui.add_html("", visible=False)
+        self._take_offer = gui.add_button(_GO_THERE, color="orange", disabled=True)
         self._take_offer.on_click(lambda _event: self.take_offer())
         self._tools = gui.add_button_group("Pointer", marked(Tool, Tool.GOAL))
         self._tools.on_click(lambda event: self.use_tool(Tool(unmarked(event.target.value))))
@@ -137,7 +148,9 @@ class Panel:
         """Brings what is read up to date; `unheard` is a notice of the page itself."""
         text = status_text(snapshot)
         if text != self._text:
-            self._text = self._status.content = text
+            self._text = text
+            self._status.content, _, details = text.partition("  \n")
+            self._details.content = _BOX.format("<br>".join(details.split("  \n")))
         notice = unheard or snapshot.notice
         is_news, self._heard = notice != self._heard, notice
         refused = notice.refused if notice is not None and is_news else None
@@ -154,9 +167,10 @@ class Panel:
             self._show_notice(notice)
 
     def _show_notice(self, notice: Notice | None) -> None:
-        self.notice.content = "" if notice is None else f"⚠️ {notice.text}"
-        self.notice.visible = notice is not None
-        self._take_offer.visible = notice is not None and notice.alternative is not None
+        text = "" if notice is None else f"⚠️ {html.escape(in_degrees(notice.text), quote=False)}"
+        self.notice.content = _BOX.format(text)
+        self.notice.visible, self._details.visible = notice is not None, notice is None
+        self._take_offer.disabled = notice is None or notice.alternative is None
         if notice is not None and notice.alternative is not None:
             self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
 
@@ -333,6 +347,13 @@ def marked(names: Iterable[str], chosen: str) -> tuple[str, ...]:
 def unmarked(name: str) -> str:
     """The name that a button stands for."""
     return name.removeprefix(CHOSEN)
+
+
+def in_degrees(text: str) -> str:
+    """A planner's reason in the unit of the page."""
+    return _FREE_POSE.sub(
+        lambda found: f"{found[1]},{math.degrees(float(found[2])):.0f}°", text, count=1
+    )
 
 
 def status_text(snapshot: Snapshot) -> str:
