@@ -20,12 +20,17 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from app.cli import main
+from app.options import load_walker
 from app.ros import messages
 from app.ros.description import RobotFrames, roll_pitch_yaw
+from app.ros.recording import session_recording
+from app.viewer.obstacles import Obstacle
+from app.viewer.session import Session
 from maps.grid import Cell, OccupancyGrid
 from planner.robot_model import FootShape, Side
 from sim.robots import get_robot
 from sim.scene import build_scene
+from tests.scenes import HALL, wait_until
 
 ROOT = Path(__file__).resolve().parent.parent
 GOAL = (0.4, -0.5, -0.4)
@@ -177,6 +182,60 @@ def test_trials_write_one_file_a_walk(tmp_path):
         report = json.loads(messages.decoded("std_msgs/msg/String", message.data).data)
         assert report["goal"] == result["goal"]
         assert report["outcome"] == result["outcome"]
+
+
+def steered_and_stopped(file):
+    """A robot walks a little, gets a box on its map, is put elsewhere, and Ctrl-C is pressed."""
+    robot, policy = load_walker("jvrc1")
+    with session_recording(file) as recorder:
+        assert recorder is not None
+        session, told_of = Session(HALL, robot, policy), []
+
+        def on_tick(replanner):
+            recorder.ticked(replanner)
+            told_of.append(replanner.navigator)
+
+        session.on_tick, session.clock.factor = on_tick, math.inf
+        session.start()
+        session.go_to((0.3, 0.0, 0.0))
+        wait_until(lambda: session.snapshot.status == "reached")
+        session.set_obstacles([Obstacle(number=1, x_m=7.0, y_m=5.0, size_x_m=0.2, size_y_m=0.2)])
+        session.reset((0.0, -0.3, 0.0))
+        wait_until(lambda: told_of[-1] is not told_of[0])
+        session.close()
+        assert not file.exists()
+        raise KeyboardInterrupt
+
+
+def test_what_a_steered_robot_does_is_written_until_it_is_stopped(tmp_path):
+    file = tmp_path / "s.mcap"
+    with pytest.raises(KeyboardInterrupt):
+        steered_and_stopped(file)
+    found: defaultdict[str, list[tuple[int, Any]]] = defaultdict(list)
+    with file.open("rb") as stream:
+        for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+            assert schema is not None
+            value = messages.decoded(schema.name, message.data)
+            found[channel.topic].append((message.log_time, value))
+    times = [time_ns for time_ns, _ in found["/tf"]]
+    assert times == [25_000_000 * (k + 1) for k in range(len(times))]
+    assert len(found["/robot_description"]) == 1
+    assert len(found["/map"]) > 1
+    assert max(found["/map"][-1][1].data) == 100 > max(found["/map"][0][1].data)
+    events = [json.loads(value.data)["event"] for _, value in found["/plan_events"]]
+    assert events[0] == "plan"
+    assert events.count("step") >= 2
+    assert events[-1] == "reached"
+    # The robot was put somewhere else: its footprints go.
+    assert {marker.action for marker in found["/footsteps_placed"][-1][1].markers} == {2}
+
+
+def test_a_session_that_fails_leaves_no_recording(tmp_path):
+    with pytest.raises(ValueError, match="fault"), session_recording(tmp_path / "s.mcap"):
+        raise ValueError("fault")
+    assert not list(tmp_path.iterdir())
+    with session_recording(None) as recorder:
+        assert recorder is None
 
 
 @pytest.mark.parametrize(

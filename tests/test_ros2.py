@@ -1,332 +1,40 @@
-"""The ROS 2 node seen from outside: a bare DDS participant whose types are written by hand here.
-
-They follow the message definitions of ROS 2 (common_interfaces, Humble) and not the project's code.
-"""
+"""The ROS 2 node seen from outside, by a bare DDS participant in `ros2_peer.py`."""
 
 # Cyclone DDS reads its types when the program runs; checkers know less of them.
-# mypy: disable-error-code="valid-type,type-arg,arg-type,assignment,index"
+# mypy: disable-error-code="arg-type,assignment,index"
 
+from __future__ import annotations
+
+import itertools
 import json
 import math
-import os
 import re
 import subprocess
-import sys
-import threading
 import time
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
-import itertools
 
-from cyclonedds.domain import Domain, DomainParticipant
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int8, int32, sequence, uint8, uint32
-from cyclonedds.pub import DataWriter
-from cyclonedds.qos import Policy, Qos
-from cyclonedds.sub import DataReader
-from cyclonedds.topic import Topic
-from cyclonedds.util import duration
-
+from app.ros.plan_requests import RequestError, read_request
+from planner.plan import FootstepPlan
 from tests.programs import refusal
-
-ROOT = Path(__file__).resolve().parent.parent
-# Two that other programs hardly use: one test at a time may be in each.
-DOMAIN = 150 + os.getpid() % 60
-PATIENCE_S = 240.0
-
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = "map"
-
-
-@dataclass
-class Text(IdlStruct, typename="std_msgs.msg.dds_.String_"):
-    data: str
-
-
-@dataclass
-class Point(IdlStruct, typename="geometry_msgs.msg.dds_.Point_"):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class PoseStamped(IdlStruct, typename="geometry_msgs.msg.dds_.PoseStamped_"):
-    header: Header
-    pose: Pose
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
-    pose: Pose
-    covariance: array[float64, 36]
-
-
-@dataclass
-class InitialPose(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovarianceStamped_"):
-    header: Header
-    pose: PoseWithCovariance
-
-
-@dataclass
-class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
-    linear: Vector3
-    angular: Vector3
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
-    twist: Twist
-    covariance: array[float64, 36]
-
-
-@dataclass
-class Odometry(IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
-    header: Header
-    child_frame_id: str
-    pose: PoseWithCovariance
-    twist: TwistWithCovariance
-
-
-@dataclass
-class MapMetaData(IdlStruct, typename="nav_msgs.msg.dds_.MapMetaData_"):
-    map_load_time: Time
-    resolution: float32
-    width: uint32
-    height: uint32
-    origin: Pose
-
-
-@dataclass
-class Occupancy(IdlStruct, typename="nav_msgs.msg.dds_.OccupancyGrid_"):
-    header: Header
-    info: MapMetaData
-    data: sequence[int8]
-
-
-@dataclass
-class Walkway(IdlStruct, typename="nav_msgs.msg.dds_.Path_"):
-    header: Header
-    poses: sequence[PoseStamped]
-
-
-@dataclass
-class Transform(IdlStruct, typename="geometry_msgs.msg.dds_.Transform_"):
-    translation: Vector3
-    rotation: Quaternion
-
-
-@dataclass
-class TransformStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TransformStamped_"):
-    header: Header
-    child_frame_id: str
-    transform: Transform
-
-
-@dataclass
-class TFMessage(IdlStruct, typename="tf2_msgs.msg.dds_.TFMessage_"):
-    transforms: sequence[TransformStamped]
-
-
-@dataclass
-class JointState(IdlStruct, typename="sensor_msgs.msg.dds_.JointState_"):
-    header: Header
-    name: sequence[str]
-    position: sequence[float64]
-    velocity: sequence[float64]
-    effort: sequence[float64]
-
-
-@dataclass
-class Clock(IdlStruct, typename="rosgraph_msgs.msg.dds_.Clock_"):
-    clock: Time
-
-
-@dataclass
-class ColorRGBA(IdlStruct, typename="std_msgs.msg.dds_.ColorRGBA_"):
-    r: float32
-    g: float32
-    b: float32
-    a: float32
-
-
-@dataclass
-class Duration(IdlStruct, typename="builtin_interfaces.msg.dds_.Duration_"):
-    sec: int32
-    nanosec: uint32
-
-
-@dataclass
-class CompressedImage(IdlStruct, typename="sensor_msgs.msg.dds_.CompressedImage_"):
-    header: Header
-    format: str
-    data: sequence[uint8]
-
-
-@dataclass
-class UVCoordinate(IdlStruct, typename="visualization_msgs.msg.dds_.UVCoordinate_"):
-    u: float32
-    v: float32
-
-
-@dataclass
-class MeshFile(IdlStruct, typename="visualization_msgs.msg.dds_.MeshFile_"):
-    filename: str
-    data: sequence[uint8]
-
-
-@dataclass
-class Marker(IdlStruct, typename="visualization_msgs.msg.dds_.Marker_"):
-    header: Header
-    ns: str
-    id: int32
-    type: int32
-    action: int32
-    pose: Pose
-    scale: Vector3
-    color: ColorRGBA
-    lifetime: Duration
-    frame_locked: bool
-    points: sequence[Point]
-    colors: sequence[ColorRGBA]
-    texture_resource: str
-    texture: CompressedImage
-    uv_coordinates: sequence[UVCoordinate]
-    text: str
-    mesh_resource: str
-    mesh_file: MeshFile
-    mesh_use_embedded_materials: bool
-
-
-@dataclass
-class MarkerArray(IdlStruct, typename="visualization_msgs.msg.dds_.MarkerArray_"):
-    markers: sequence[Marker]
-
-
-RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
-LATCHED = Qos(RELIABLE, Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
-VOLATILE = Qos(RELIABLE, Policy.Durability.Volatile, Policy.History.KeepLast(100))
-LOOPBACK = (
-    "<CycloneDDS><Domain Id='any'><General><Interfaces><NetworkInterface address='127.0.0.1'/>"
-    "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>"
-    "<ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers>"
-    "</Discovery></Domain></CycloneDDS>"
+from tests.ros2_peer import (
+    DOMAIN,
+    Header,
+    InitialPose,
+    Node,
+    Participant,
+    Point,
+    Pose,
+    PoseStamped,
+    PoseWithCovariance,
+    Quaternion,
+    Text,
+    pose_at,
+    room,
 )
-
-
-class Participant:
-    """Writes to the node's topics and keeps what comes back."""
-
-    def __init__(self, domain: int) -> None:
-        self._domain = Domain(domain, LOOPBACK)
-        self._participant = DomainParticipant(domain)
-        self.map = self._writer("map", Occupancy, LATCHED)
-        self.goal = self._writer("goal_pose", PoseStamped, VOLATILE)
-        self.start = self._writer("initialpose", InitialPose, VOLATILE)
-        self._readers = {
-            name: DataReader(self._participant, Topic(self._participant, f"rt/{name}", kind), qos)
-            for name, kind, qos in (
-                ("footsteps", MarkerArray, LATCHED),
-                ("path", Walkway, LATCHED),
-                ("robot_description", Text, LATCHED),
-                ("tf_static", TFMessage, LATCHED),
-                ("tf", TFMessage, VOLATILE),
-                ("odom", Odometry, VOLATILE),
-                ("joint_states", JointState, VOLATILE),
-                ("plan_events", Text, VOLATILE),
-                ("clock", Clock, VOLATILE),
-            )
-        }
-        self.got: dict[str, list[Any]] = {name: [] for name in self._readers}
-
-    def _writer(self, name: str, kind: Any, qos: Any) -> Any:
-        return DataWriter(self._participant, Topic(self._participant, f"rt/{name}", kind), qos)
-
-    def until(self, is_so: Any, what: str) -> None:
-        """Listens until something is so; fails after a long time."""
-        ends_s = time.monotonic() + PATIENCE_S
-        while not is_so():
-            assert time.monotonic() < ends_s, f"waited in vain for {what}"
-            for name, reader in self._readers.items():
-                self.got[name] += reader.take(200)
-            time.sleep(0.005)
-
-    def events(self) -> list[dict[str, Any]]:
-        return [json.loads(event.data) for event in self.got["plan_events"]]
-
-
-def pose_at(x: float, y: float, yaw: float) -> Pose:
-    turn = Quaternion(z=math.sin(yaw / 2), w=math.cos(yaw / 2))
-    return Pose(Point(x, y, 0.0), turn)
-
-
-def room(*, wall: bool = False) -> Occupancy:
-    """5 x 3 m from -1,-1.5, walled in; with a wall across it at x = 1.5 that has a gap."""
-    cells = np.zeros((60, 100), int)
-    cells[[0, -1]] = 100
-    cells[:, [0, -1]] = 100
-    if wall:
-        cells[:26, 50:52] = 100
-    info = MapMetaData(Time(), 0.05, 100, 60, pose_at(-1.0, -1.5, 0.0))
-    return Occupancy(Header(), info, cells.ravel().tolist())
-
-
-class Node:
-    """The program in a process of its own, and the lines that it says."""
-
-    def __init__(self, *words: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "main.py", "ros2", "--domain", str(DOMAIN), *words],
-            cwd=ROOT,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        self.lines: list[str] = []
-        threading.Thread(target=self._listen, daemon=True).start()
-
-    def _listen(self) -> None:
-        assert self.process.stderr is not None
-        for line in self.process.stderr:
-            self.lines.append(line.rstrip("\n"))
-
-    def warnings(self) -> list[str]:
-        return [line for line in self.lines if line.startswith("warning: ")]
 
 
 def udp_addresses(pid: int) -> set[str]:
@@ -363,6 +71,7 @@ def test_a_robot_walks_where_a_bare_participant_sends_it(tmp_path):
         at = peer.got["odom"][-1].pose.pose.position
         assert (at.x, at.y) == pytest.approx((0, 0), abs=0.1)
 
+        plans_on_request(peer, node)
         for bad, told in (
             (PoseStamped(Header(), pose_at(math.nan, 0, 0)), "not finite"),
             (PoseStamped(Header(frame_id="odom"), goal), "frame is 'odom'"),
@@ -440,7 +149,75 @@ def test_a_robot_walks_where_a_bare_participant_sends_it(tmp_path):
         node.process.terminate()
         code = node.process.wait(timeout=60)
     assert code == 143
-    assert len(node.warnings()) == 7, node.lines
+    assert len(node.warnings()) == 8, node.lines
+
+
+def plans_on_request(peer: Participant, node: Node) -> None:
+    """Questions are answered in their order, one that is none with what is wrong with it."""
+    goal = [0.8, -0.4, 0.5]
+    for question in (
+        {"id": "from here", "goal": goal},
+        {"id": "from there", "start": [1.0, 0.5, 0.0], "goal": goal},
+        {"id": "nowhere", "goal": [9.0, 9.0, 0.0]},
+    ):
+        peer.request.write(Text(json.dumps({"format": "plan-request/1", **question})))
+    peer.until(lambda: len(peer.got["plan"]) == 3, "three plans")
+    here, there, nowhere = (json.loads(answer.data) for answer in peer.got["plan"])
+    assert [answer["id"] for answer in (here, there, nowhere)] == [
+        *("from here", "from there", "nowhere")
+    ]
+    for answer, start in ((here, (0.0, 0.0)), (there, (1.0, 0.5))):
+        plan = FootstepPlan.from_json(json.dumps(answer))
+        assert plan.found
+        assert plan.start[:2] == pytest.approx(start, abs=0.1)
+        assert plan.pose_world[-2:, :2].mean(axis=0) == pytest.approx(goal[:2], abs=1e-6)
+    assert (nowhere["status"], nowhere["steps"]) == ("off_map", [])
+    count = len(node.warnings())
+    peer.request.write(Text('{"format": "plan-request/1", "id": "x", "goal": [1, 2]}'))
+    peer.until(lambda: len(peer.got["plan"]) == 4, "an answer")
+    told = json.loads(peer.got["plan"][-1].data)
+    assert told["id"] == "x"
+    assert told["error"] == "goal [1, 2] must be 3 finite numbers"
+    peer.until(lambda: len(node.warnings()) > count, "a warning")
+    assert node.warnings()[-1] == f"warning: plan_request: {told['error']}"
+
+
+def request(**keys):
+    return json.dumps({"format": "plan-request/1", "id": "a", **keys})
+
+
+def test_a_question_is_read():
+    feet = {"left": [0.0, 0.1, 0.0, 0.0], "right": [0.0, -0.1, 0.0, 0.0]}
+    read = read_request(request(goal=[1, 2, 0.5], start_feet=feet), 0.3)
+    assert (read.id, read.goal) == ("a", (1.0, 2.0, 0.5))
+    assert read.start_feet_world[:, 1].tolist() == [0.1, -0.1]
+    read = read_request(request(goal=[1, 2, 0.5], start=[1, 1, 0]), 0.3)
+    assert read.start_feet_world[:, :2].ravel() == pytest.approx([1, 1.15, 1, 0.85])
+    assert read_request(request(goal=[1, 2, 0.5]), 0.3).start_feet_world is None
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("", "not JSON"),
+        ("[]", "must be an object"),
+        ('{"goal": [1, 2, 3]}', "must be an object with the format"),
+        (request(), "key 'goal' is missing"),
+        (request(goal=[1, 2]), r"goal \[1, 2\] must be 3 finite numbers"),
+        (request(goal=[1, 2, "x"]), "must be 3 finite numbers"),
+        (request(goal=[1, 2, True]), "must be 3 finite numbers"),
+        (request(goal=[[1], [2], [3]]), "must be 3 finite numbers"),
+        (request(goal=[1, 2, 10**400]), "must be 3 finite numbers"),
+        ('{"format": "plan-request/1", "goal": [1, 2, NaN]}', "must be 3 finite"),
+        (request(goal=[1, 2, 3], start=[0, 0, 0], start_feet={}), "not both"),
+        (request(goal=[1, 2, 3], start_feet={"left": [0, 0, 0, 0]}), "left and right"),
+        (request(goal=[1, 2, 3], gaol=1), "key 'gaol' is unknown"),
+        (request(id=3, goal=[1, 2, 3]), "id 3 must be a text"),
+    ],
+)
+def test_what_is_wrong_with_a_question_is_named(words, told):
+    with pytest.raises(RequestError, match=told):
+        read_request(words, 0.3)
 
 
 def test_options_that_do_not_go_together(capsys):

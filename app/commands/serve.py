@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from app.controllers import ControllerOption, load_controlled
 from app.options import (
     FileOption,
+    OptionalFile,
     PlanningOptions,
     Pose,
     PoseOption,
@@ -18,6 +19,7 @@ from app.options import (
     whole_number,
 )
 from app.output import InputError, ProgressBar, say
+from app.ros.recording import SessionRecorder, require_recordable, session_recording
 from maps.grid import OccupancyGrid
 from maps.map_files import COMES_ALONG
 from sim.robot import Robot
@@ -54,9 +56,19 @@ class ServeOptions(PlanningOptions):
     port: Annotated[int, whole_number(at_least=0, metavar="PORT")] = 8080
     """Port to serve at, such as 8080; 0 for any that is free."""
 
+    record: OptionalFile = None
+    """Also write what the robot does as an MCAP file, which Foxglove opens, such as walk.mcap; it
+    is there after Ctrl-C."""
+
 
 def run(options: ServeOptions) -> int:
     """Carries the command out: serves until Ctrl-C, one map after another."""
+    require_recordable(options.record, None)
+    with session_recording(options.record) as recorder:
+        return _serve(options, recorder)
+
+
+def _serve(options: ServeOptions, recorder: SessionRecorder | None) -> int:
     from app.viewer.map_chooser import maps_that_come_along
     from app.viewer.page import Maps, open_page
 
@@ -92,6 +104,8 @@ def run(options: ServeOptions) -> int:
             robots=(first,),
             maps=Maps({name: options.map} | maps, name),
         ) as page:
+            if recorder is not None:
+                page.session.on_tick = recorder.ticked
             page.session.start()
             if link is not None:
                 page.follow(link)

@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from app.ros.messages import MAP_FRAME
 from sim.robot import PHYSICS_GROUP
 from sim.scene import Scene
 from sim.sensors import SIDES
 
-MAP_FRAME = "map"
 ROOT_FRAME = "pelvis"
 _RGBA = "0.75 0.77 0.80 1"
 

@@ -13,18 +13,20 @@ from app.navigation.navigator import NavigatorConfig
 from app.navigation.planner_process import PlannerProcess, World, place_to_stand
 from app.navigation.replanner import Replanner
 from app.output import one_line, say
-from app.ros.description import MAP_FRAME
 from app.ros.messages import (
+    MAP_FRAME,
     Told,
-    WalkStream,
     decoded,
     grid_of,
     new,
     pose2d_of,
     stamp,
+    text,
     told_map,
 )
+from app.ros.plan_requests import PlanRequests, RequestError, read_request, refusal
 from app.ros.transport import Transport
+from app.ros.walk_stream import WalkStream
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import Policy
 from maps.grid import OccupancyGrid
@@ -44,7 +46,8 @@ class FootstepNode:
     """A simulated robot that ROS 2 steers; `step` is to be called all the time, by one thread.
 
     Until there is a map there is no robot. A message that cannot be used gives one line of warning.
-    `behind_s` is how far the robot is behind real time.
+    pace: simulated over real time, inf for as fast as it goes. `behind_s` is how far the robot is
+    behind that.
     """
 
     def __init__(
@@ -58,11 +61,12 @@ class FootstepNode:
         options: PlannerOptions | None = None,
         seed: int = 0,
         sim_time: bool = False,
+        pace: float = 1.0,
         warn: Callable[[str], None] = say,
     ) -> None:
         self._transport, self._robot, self._policy = transport, robot, policy
         self._options, self._start, self._seed = options or PlannerOptions(), start, seed
-        self._sim_time, self._warn = sim_time, warn
+        self._sim_time, self._pace, self._warn = sim_time, pace, warn
         self._planner: PlannerProcess | None = None
         self._replanner: Replanner | None = None
         self._stream: WalkStream | None = None
@@ -74,10 +78,13 @@ class FootstepNode:
             "map": self._take_map,
             "goal_pose": self._take_goal,
             "initialpose": self._take_initial_pose,
+            "plan_request": self._take_request,
         }
+        self._requests = PlanRequests(robot.name)
         transport.subscribe("map", "nav_msgs/msg/OccupancyGrid", is_latched=True)
         transport.subscribe("goal_pose", "geometry_msgs/msg/PoseStamped")
         transport.subscribe("initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+        transport.subscribe("plan_request", "std_msgs/msg/String")
         if grid is not None:
             self._set_grid(grid)
             transport.publish(told_map(grid, self._now_ns()))
@@ -86,6 +93,11 @@ class FootstepNode:
     def navigator(self) -> LiveNavigator | None:
         """The robot, if there is one."""
         return None if self._replanner is None else self._replanner.navigator
+
+    @property
+    def time_s(self) -> float:
+        """How long there has been a node, in simulated time."""
+        return self._ticks * CONTROL_PERIOD_S
 
     def is_ready(self, wait_s: float) -> bool:
         """Whether a goal would be planned for at once; waits for so long."""
@@ -99,12 +111,15 @@ class FootstepNode:
             self._replanner.listen()
             self._tell_notice(self._replanner)
             self._tell_changes(self._replanner)
+        for document in self._requests.answers():
+            self._publish_plan(document)
         left_s = self._due_s - time.monotonic()
         self.behind_s = max(0.0, -left_s)
         if left_s > 0:
             time.sleep(min(left_s, _LOOK_EVERY_S))
             return
-        self._due_s = max(self._due_s + CONTROL_PERIOD_S, time.monotonic() - _FORGIVEN_S)
+        period_s = CONTROL_PERIOD_S / self._pace
+        self._due_s = max(self._due_s + period_s, time.monotonic() - _FORGIVEN_S)
         self._ticks += 1
         if self._replanner is not None:
             self._tick(self._replanner)
@@ -116,6 +131,7 @@ class FootstepNode:
         """Ends the planner and leaves ROS."""
         if self._planner is not None:
             self._planner.close()
+        self._requests.close()
         self._transport.close()
 
     def _tick(self, replanner: Replanner) -> None:
@@ -151,8 +167,9 @@ class FootstepNode:
             self._warn(f"warning: {topic}: not a {kind}: {one_line(error) or type(error).__name__}")
             return
         try:
-            if message.header.frame_id != MAP_FRAME:
-                raise ValueError(f"the frame is {message.header.frame_id!r}, must be {MAP_FRAME!r}")
+            head = getattr(message, "header", None)
+            if head is not None and head.frame_id != MAP_FRAME:
+                raise ValueError(f"the frame is {head.frame_id!r}, must be {MAP_FRAME!r}")
             self._handlers[topic](message)
         except ValueError as error:
             self._warn(f"warning: {topic}: {one_line(error)}")
@@ -178,6 +195,21 @@ class FootstepNode:
             raise ValueError(f"the robot cannot stand there: {blocked}{near}")
         self._replanner.take(self._standing(grid, pose))
 
+    def _take_request(self, message: Any) -> None:
+        try:
+            request = read_request(message.data, self._robot.step_model.stance_width_m)
+            if self._replanner is None:
+                raise RequestError("there is no map yet", request.id)
+            point = self._replanner.navigator.replan_point()
+            self._requests.ask(request, point.feet_world, point.first_side)
+        except RequestError as error:
+            # Who asked waits for an answer.
+            self._publish_plan(refusal(error))
+            raise
+
+    def _publish_plan(self, document: str) -> None:
+        self._transport.publish(Told("plan", "std_msgs/msg/String", text(document)))
+
     def _set_grid(self, grid: OccupancyGrid) -> None:
         """The map from now on; with the first one the robot is put on it."""
         if self._replanner is None or self._planner is None:
@@ -186,6 +218,7 @@ class FootstepNode:
                 raise ValueError(f"the robot cannot stand at its start: {blocked}")
             self._planner = self._planner or PlannerProcess(self._world(grid))
             self._planner.set_world(self._world(grid))
+            self._requests.set_world(self._world(grid))
             navigator = self._standing(grid, free or self._start)
             self._replanner = Replanner(self._planner, WalkHistory(), navigator)
             self._stream = WalkStream(navigator)
@@ -197,6 +230,7 @@ class FootstepNode:
         if is_same and np.array_equal(before.cells, grid.cells):
             return
         self._planner.set_world(self._world(grid))
+        self._requests.set_world(self._world(grid))
         self._replanner.navigator.set_grid(grid, self._planner)
         self._replanner.plan_anew()
 

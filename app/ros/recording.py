@@ -9,13 +9,19 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.output import InputError, replacing, require_writable
+from app.output import InputError, replacing, require_writable, say
+from controller.gait import CONTROL_PERIOD_S
 from maps.files import folder_beside
 
 if TYPE_CHECKING:
+    from app.navigation.live_navigator import Replanner
     from app.navigation.navigator import Navigator
     from app.ros.messages import Told
+    from app.ros.walk_stream import WalkStream
+    from maps.grid import OccupancyGrid
+    from sim.robot import Robot
 
+_TICK_NS = round(CONTROL_PERIOD_S * 1e9)
 # Who takes the messages, at the simulated time in nanoseconds.
 Sink = Callable[["Told", int], None]
 
@@ -46,7 +52,7 @@ class Recorder:
 
     def __init__(self, navigator: Navigator, sinks: list[Sink]) -> None:
         # Here and not above: it loads rosbags, which not every installation has.
-        from app.ros.messages import WalkStream
+        from app.ros.walk_stream import WalkStream
 
         self._navigator, self._sinks = navigator, sinks
         self._stream = WalkStream(navigator)
@@ -90,6 +96,65 @@ def recording(
         if bag is not None:
             sinks.append(stack.enter_context(_bag(bag)))
         yield Recorder(navigator, sinks) if sinks else None
+
+
+class SessionRecorder:
+    """Writes what a robot does that is steered, and the one that takes its place, on any map.
+
+    Time is simulated: it stands still while the robot rests.
+    """
+
+    def __init__(self, sink: Sink) -> None:
+        self._sink: Sink | None = sink
+        self._stream: WalkStream | None = None
+        self._robot: Robot | None = None
+        self._grid: OccupancyGrid | None = None
+        self._ticks = 0
+
+    def ticked(self, replanner: Replanner) -> None:
+        """Notes the state that the last tick led to; where that cannot be written, says so once."""
+        try:
+            for told in self._told(replanner):
+                if self._sink is not None:
+                    self._sink(told, self._ticks * _TICK_NS)
+        except OSError as error:
+            self._sink = None
+            say(f"warning: the recording ends here, it cannot be written: {error.strerror}")
+
+    def _told(self, replanner: Replanner) -> Iterator[Told]:
+        from app.ros.messages import told_map
+        from app.ros.walk_stream import WalkStream
+
+        navigator = replanner.navigator
+        self._ticks += 1
+        time_ns = self._ticks * _TICK_NS
+        if self._stream is None or navigator.robot is not self._robot:
+            self._stream, self._robot = WalkStream(navigator), navigator.robot
+            yield from self._stream.latched(None, time_ns)
+        if navigator.grid is not self._grid:
+            self._grid = navigator.grid
+            yield told_map(navigator.grid, time_ns)
+        plan, _ = replanner.shown_plan
+        yield from self._stream.ticked(navigator, time_ns, plan)
+
+
+@contextlib.contextmanager
+def session_recording(path: Path | None) -> Iterator[SessionRecorder | None]:
+    """Gives what writes to an MCAP file what happens until Ctrl-C; None where none is wanted.
+
+    The file has its name at the end; after an error there is none.
+    """
+    if path is None:
+        yield None
+        return
+    stopped = None
+    with _mcap(path) as sink:
+        try:
+            yield SessionRecorder(sink)
+        except KeyboardInterrupt as error:
+            stopped = error
+    if stopped is not None:
+        raise stopped
 
 
 @contextlib.contextmanager

@@ -146,7 +146,7 @@ class _CycloneDds:
     def received(self) -> Iterator[tuple[str, str, bytes]]:
         for topic, (kind, reader) in self._readers.items():
             for sample in reader.take(_MOST_TAKEN):
-                if hasattr(sample, "cdr"):  # else it says that a writer has left
+                if hasattr(sample, "cdr"):
                     yield topic, kind, sample.cdr
 
     def close(self) -> None:
@@ -209,8 +209,10 @@ def _bytes_type(kind: str) -> Any:
 
     base = struct(kind)
 
-    def take(sample: Any, cdr: bytes) -> None:
-        sample.cdr = cdr
+    def take(sample: Any, cdr: bytes | None = None, **_: Any) -> None:
+        # Without bytes it says that a writer has left.
+        if cdr is not None:
+            sample.cdr = cdr
 
     # Cyclone DDS asks the class for bytes and gives it bytes: they pass as they are.
     base.__init__ = take

@@ -101,7 +101,8 @@ class Session:
 
     The public methods may be called from any thread; `commands` are those that its own thread has
     yet to carry out. `snapshot` is what is seen now; `setup` is what the walk depends on; `history`
-    keeps what the plots show; `ended` is the first walk, once it is over; `failure` is why there is
+    keeps what the plots show; `on_tick`, if set before the start, is called after each tick, by the
+    session's thread; `ended` is the first walk, once it is over; `failure` is why there is
     no planner, if it dies whenever it is started.
     """
 
@@ -137,6 +138,7 @@ class Session:
         self.history = WalkHistory()
         self.ended: Navigator | None = None
         self.failure: RuntimeError | None = None
+        self.on_tick: Callable[[Replanner], None] | None = None
         navigator = self._standing() if goal is None else self._walking(finite_pose(goal))
         self._replanner = Replanner(self._planner, self.history, navigator)
         self._edits, self._is_edited, self._restores = EditHistory(self._scenario), False, 0
@@ -305,6 +307,8 @@ class Session:
         has_ended = navigator.outcome is not None and not self._replanner.goes_on
         if has_ended and self.ended is None:
             self.ended = copy.copy(navigator)
+        if self.on_tick is not None:
+            self.on_tick(self._replanner)
 
     def _show(self) -> None:
         """Now and then, and as soon as there is an answer."""
