@@ -66,6 +66,10 @@ COMMANDS: Mapping[str, Command] = MappingProxyType(
             "plan footsteps from a start to a goal on a map",
             "plan --map maps/room.png --goal 2,1,1.57 --image plan.png",
         ),
+        "ros1": Command(
+            "be the ROS 1 node footstep_planner: services and topics that plan",
+            "ros1 --robot jvrc1",
+        ),
         "ros2": Command(
             "be a ROS 2 node: map and goal on topics, a robot that walks there",
             "ros2 --robot jvrc1",

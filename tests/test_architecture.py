@@ -60,6 +60,7 @@ MAY_LOAD = {
     "rosbags": ("app",),
     "cyclonedds": ("app",),
     "ray": ("app",),
+    "rospy": ("app",),
 }
 
 
