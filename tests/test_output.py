@@ -23,7 +23,7 @@ from app.output import (
 )
 from app.workers import in_order, portions
 from maps.files import folder_beside, written_whole
-from tests.programs import ROOT, run_python
+from tests.programs import ROOT, refusal, run_python
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -154,6 +154,39 @@ def test_a_folder_belongs_to_one_process_until_it_lets_go(tmp_path):
     release_folders()
     assert list(folder.iterdir()) == []
     assert run_python("-c", CLAIMED, folder).returncode == 0
+
+
+@pytest.fixture(scope="module")
+def taken(tmp_path_factory):
+    """A folder that another process has claimed, and the number of that process."""
+    folder = tmp_path_factory.mktemp("taken")
+    waits = CLAIMED + "print('claimed', flush=True)\ninput()\n"
+    with subprocess.Popen(
+        [sys.executable, "-c", waits, str(folder)],
+        cwd=ROOT,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline() == "claimed\n"
+        yield folder, owner.pid
+        owner.communicate("\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("train", "--samples", "1"),
+        ("trials", "--map", "maps/room.png", "--count", "1"),
+        ("evaluate", "--episodes", "1"),
+        ("dataset", "--count", "1"),
+    ],
+)
+def test_commands_that_write_for_long_refuse_the_folder_of_another(words, taken, capsys):
+    folder, owner = taken
+    told = refusal(capsys, *words, "--out", folder)
+    assert f"process {owner} is writing to {folder}" in told
 
 
 def test_what_a_killed_process_claimed_is_free(tmp_path):
