@@ -90,7 +90,7 @@ def step_change(walker: Walker, rows: np.ndarray | None = None) -> StepChange:
     growth = np.exp(omega * (swing_ticks - tick) * CONTROL_PERIOD_S)
     missing = _missing_m(capture, step, growth, half_m, robot.steady_pressure_share)
     needed = cursor.swinging[rows] & (tick >= round(FIRST_MOMENTS_S / CONTROL_PERIOD_S))
-    needed &= np.abs(missing).max(axis=1) > LEAST_M
+    needed &= walker.disturbed[rows] & (np.abs(missing).max(axis=1) > LEAST_M)
     most_growth = _most_growth(capture, limits, half_m)
     latest_tick = tick + np.floor(np.log(most_growth) / omega / CONTROL_PERIOD_S)
     first_tick = np.maximum(

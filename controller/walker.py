@@ -45,6 +45,8 @@ class Walker:
     `placed` (B,) counts how often each was put into a state; `failures` holds why the controller of
     each gave up, "" while it has not; `relaxed` how often each stage of it dropped its constraints,
     for controllers that have such stages.
+    `disturbed` (B,) is whether a robot's steps may change against a push; a controller that can
+    tell a push from its own gait clears it, others leave it true.
     `noise` adds to an observation what its sensors err by, which `observe` itself is without.
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps.
     """
@@ -67,6 +69,7 @@ class Walker:
         self.failures = [""] * count
         self.relaxed: list[dict[str, int]] = [{} for _ in range(count)]
         self.noise: Callable[[np.ndarray], np.ndarray] = lambda observation: observation
+        self.disturbed = np.ones(count, dtype=bool)
         self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
         self._sent = np.zeros((count, len(self.robot.joints)))

@@ -14,7 +14,7 @@ from app.controllers import load_controlled
 from app.options import RobotOptions
 from app.output import InputError
 from controller.lipm.admittance import FootAdmittance, sole_wrench
-from controller.lipm.controller import LipmController
+from controller.lipm.controller import Lag, LipmController
 from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, phases_of
 from controller.lipm.servos import joint_targets, stiff
 from controller.lipm.stabilizer import PROPORTIONAL_HZ, DcmFeedback, ForceDistribution
@@ -53,6 +53,14 @@ def test_the_zmp_of_the_pattern_stays_in_the_sole_and_the_pendulum_ends_captured
     single = (time_s >= 0.3) & (time_s < 0.9)
     assert single.sum() == 12
     assert (np.abs(zmp[single] - FEET[0, :2]) <= HALF_SOLE_M).all()
+    # With both feet down it stays between them, on a strip as wide as a sole.
+    before, after = time_s < 0.3, time_s >= 0.9
+    assert before.sum() + after.sum() == len(com) - 12
+    assert (np.abs(zmp[before, 0]) <= HALF_SOLE_M[1] + 1e-9).all()
+    assert (np.abs(zmp[before, 1]) <= 0.1 + HALF_SOLE_M[1]).all()
+    # From the left foot at 0, 0.1 to the right one at 0.2, -0.1.
+    off = (zmp[after] - [0.1, 0.0]) @ np.array([1, 1]) / np.sqrt(2)
+    assert (np.abs(off) <= HALF_SOLE_M[1] + 1e-9).all()
     middle = [0.1, 0.0]
     np.testing.assert_allclose(com[-1] + velocity[-1] / OMEGA, middle, atol=1e-6)
     np.testing.assert_allclose(zmp[-1], middle, atol=1e-6)
@@ -103,6 +111,9 @@ def test_a_sole_turns_away_from_the_moment_that_it_bears_in_excess():
     feet.follow(np.zeros((2, 6)), np.stack([bears, np.zeros(6)]), np.array([True, False]), 0.005)
     # 0.01 rad/s per N m over 5 ms; toes up, which brings the pressure back.
     np.testing.assert_allclose(feet.tilt_rad, np.array([[0, -0.0005], [0, 0]]))
+    # In the air it goes back by and by: a jump would reach the ground through the other leg.
+    feet.follow(np.zeros((2, 6)), np.zeros((2, 6)), np.array([False, True]), 0.005)
+    np.testing.assert_allclose(feet.tilt_rad[0], [0, -0.000475])
 
 
 def test_the_swing_foot_leaves_and_reaches_its_places_and_lands_by_force_alone():
@@ -143,6 +154,14 @@ def test_a_pattern_that_cannot_stay_in_the_sole_is_relaxed_and_counted():
         pendulum.advance(each, SAMPLE_S)
     # It still comes to rest over the foot that it stands on.
     np.testing.assert_allclose(pendulum.com + pendulum.velocity / OMEGA, FEET[0, :2], atol=1e-6)
+
+
+def test_the_posture_catches_up_with_a_pattern_that_began_anew():
+    lag = Lag(com=np.array([0.05, 0.0]), velocity=np.array([0.0, 0.2]))
+    for _ in range(200):
+        lag.advance(0.005)
+    np.testing.assert_allclose(lag.com, 0.0, atol=1e-3)
+    np.testing.assert_allclose(lag.velocity, 0.0, atol=1e-2)
 
 
 @pytest.mark.parametrize("broken", ["", "limits"])

@@ -18,7 +18,7 @@ from controller.lipm.stabilizer import cross_matrix
 DAMPING, DAMPING_LIMIT_RAD_S = 0.01, 0.2
 DIFFERENCE, DIFFERENCE_LIMIT_M_S = 1e-4, 0.05
 # Both go back to nothing within about this time, and never farther than that.
-RETURN_S = 1.0
+RETURN_S, IN_THE_AIR_S = 1.0, 0.1
 TILT_LIMIT_RAD, HEIGHT_LIMIT_M = 0.12, 0.02
 
 
@@ -38,28 +38,22 @@ class FootAdmittance:
     ) -> None:
         """Give way for a time under wrenches (2, 6) of the ground, in the axes of the soles.
 
-        Moments are about the soles' middles. A sole that is not `standing` (2,) stays as it is;
-        the difference of forces counts where both are.
+        Moments are about the soles' middles. A sole that is not `standing` (2,) goes back to how it
+        would be without admittance; the difference of forces counts where both are.
         """
-        excess = measured[:, 3:5] - wanted[:, 3:5]
+        return_s = np.where(standing, RETURN_S, IN_THE_AIR_S)
+        excess = np.where(standing[:, None], measured[:, 3:5] - wanted[:, 3:5], 0.0)
         rate = np.clip(DAMPING * excess, -DAMPING_LIMIT_RAD_S, DAMPING_LIMIT_RAD_S)
-        rate = rate - self.tilt_rad / RETURN_S
-        tilt = np.clip(self.tilt_rad + time_s * rate, -TILT_LIMIT_RAD, TILT_LIMIT_RAD)
-        self.tilt_rad = np.where(standing[:, None], tilt, self.tilt_rad)
+        rate = rate - self.tilt_rad / return_s[:, None]
+        self.tilt_rad = np.clip(self.tilt_rad + time_s * rate, -TILT_LIMIT_RAD, TILT_LIMIT_RAD)
         rise = 0.0
         if standing.all():
             left, right = measured[:, 2] - wanted[:, 2]
             rise = float(
                 np.clip(DIFFERENCE * (left - right), -DIFFERENCE_LIMIT_M_S, DIFFERENCE_LIMIT_M_S)
             )
-        rates = np.array([rise, -rise]) / 2 - self.height_m / RETURN_S
-        height = np.clip(self.height_m + time_s * rates, -HEIGHT_LIMIT_M, HEIGHT_LIMIT_M)
-        self.height_m = np.where(standing, height, self.height_m)
-
-    def release(self, side: int) -> None:
-        """Forget a sole that leaves the ground."""
-        self.tilt_rad[side] = 0.0
-        self.height_m[side] = 0.0
+        rates = np.array([rise, -rise]) / 2 - self.height_m / return_s
+        self.height_m = np.clip(self.height_m + time_s * rates, -HEIGHT_LIMIT_M, HEIGHT_LIMIT_M)
 
 
 def sole_wrench(

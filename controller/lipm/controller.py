@@ -29,10 +29,28 @@ from sim.robot import GRAVITY_M_S2, Robot
 from sim.scene import PHYSICS_TIMESTEP_S, Scene, build_scene
 
 PARTS = 5
-# The centre of mass rises and sinks no faster than this.
-SINK_M_S = 0.15
+# From this error of the DCM on the robot counts as pushed: steps may change, and the pattern begins
+# anew from where the centre of mass is, which the posture follows at this rate.
+PUSHED_M, CATCH_UP_HZ = 0.04, 10.0
+# The centre of mass rises and sinks at this rate, critically damped, and with no more acceleration:
+# the servos pass every jerk on to the ground.
+CLIMB_HZ, CLIMB_M_S2 = 6.0, 1.5
 PART_S = CONTROL_PERIOD_S / PARTS
 REPLAN_PARTS = round(SAMPLE_S / PART_S)
+
+
+@dataclass
+class Lag:
+    """How far the posture's centre of mass (2,) is off the pattern's, and its velocity (2,)."""
+
+    com: np.ndarray
+    velocity: np.ndarray
+
+    def advance(self, time_s: float) -> None:
+        """Come closer for a time, critically damped."""
+        pull = CATCH_UP_HZ**2 * self.com + 2 * CATCH_UP_HZ * self.velocity
+        self.velocity = self.velocity - time_s * pull
+        self.com = self.com + time_s * self.velocity
 
 
 class RobotControl:
@@ -80,12 +98,14 @@ class RobotControl:
         self._admittance = FootAdmittance()
         self._feedback = DcmFeedback(omega=self._omega)
         com = self._data.subtree_com[self._pelvis]
-        self._com_z_m = com[2]
+        self._com_z_m, self._climb_m_s = com[2], 0.0
         for _ in range(10):
             body.follow(self._targets(com), 0.1)
         self._pendulum = Pendulum(
             com=com[:2].copy(), velocity=np.zeros(2), acceleration=np.zeros(2)
         )
+        self._lag = Lag(com=np.zeros(2), velocity=np.zeros(2))
+        self.pushed = False
         self._jerk = np.zeros((1, 2))
         self._count = 0
 
@@ -115,18 +135,32 @@ class RobotControl:
         cursor = self._walker.cursor
         steps = _later(cursor.upcoming(self._row), part * PART_S)
         self._move_swing_foot(latest, steps)
+        data, pendulum = self._data, self._pendulum
+        com, velocity = data.subtree_com[self._pelvis], data.subtree_linvel[self._pelvis]
         if self._count % REPLAN_PARTS == 0:
-            self._jerk = self._pattern.solve(self._pendulum, phases_of(self._feet, steps))
+            self._catch_up(com[:2], velocity[:2])
+            self._jerk = self._pattern.solve(pendulum, phases_of(self._feet, steps))
         self._count += 1
-        pendulum = self._pendulum
         reference = pendulum.com, pendulum.velocity, pendulum.acceleration
         pendulum.advance(self._jerk[0], PART_S)
-        data = self._data
-        com, velocity = data.subtree_com[self._pelvis], data.subtree_linvel[self._pelvis]
+        self._lag.advance(PART_S)
         asked = self._feedback.acceleration(reference, com[:2], velocity[:2], PART_S)
         wrenches = self._wrenches(com, asked)
         self._give_way(latest, wrenches)
         return self._joint_targets(wrenches)
+
+    def _catch_up(self, com: np.ndarray, velocity: np.ndarray) -> None:
+        """Begin the pattern anew from where the centre of mass (2,) is, if that is far off."""
+        pendulum = self._pendulum
+        error = pendulum.com - com + (pendulum.velocity - velocity) / self._omega
+        if np.linalg.norm(error) < PUSHED_M:
+            return
+        self.pushed = True
+        zmp = pendulum.com - pendulum.acceleration / self._omega**2
+        self._lag.com = self._lag.com + pendulum.com - com
+        self._lag.velocity = self._lag.velocity + pendulum.velocity - velocity
+        pendulum.com, pendulum.velocity = com.copy(), velocity.copy()
+        pendulum.acceleration = self._omega**2 * (com - zmp)
 
     def _give_way(self, latest: np.ndarray, wrenches: np.ndarray) -> None:
         """Admittance of the feet to what they bear, against the wrenches (2, 6) asked for."""
@@ -149,8 +183,10 @@ class RobotControl:
         if self._swing is not None:
             ground_m = self._feet[1 - self._swing_side, 2]
         wish = ground_m + self._height_m
-        self._com_z_m += float(np.clip(wish - self._com_z_m, -SINK_M_S * PART_S, SINK_M_S * PART_S))
-        target = self._targets(np.array([*pendulum.com, self._com_z_m]))
+        pull = CLIMB_HZ**2 * (wish - self._com_z_m) - 2 * CLIMB_HZ * self._climb_m_s
+        self._climb_m_s += PART_S * float(np.clip(pull, -CLIMB_M_S2, CLIMB_M_S2))
+        self._com_z_m += PART_S * self._climb_m_s
+        target = self._targets(np.array([*pendulum.com + self._lag.com, self._com_z_m]))
         dq = body.follow(target, PART_S)[self._body.scene.joint_qvel]
         torque = body.torque_nm(wrenches)
         angles = body.qpos[body.scene.joint_qpos]
@@ -202,8 +238,7 @@ class RobotControl:
         side = int(cursor.side[row])
         if self._swing is None and swinging and not self._landed:
             self._anchor(1 - side)
-            self._swing_side = side
-            self._admittance.release(side)
+            self._swing_side, self.pushed = side, False
             over_z_m = float(cursor.swing_over_z_m[row])
             self._swing = swing_over(self._feet[side].copy(), steps.pose_world[0], over_z_m)
         elif self._landed and not swinging:
@@ -288,6 +323,7 @@ class LipmController:
                     except StageFailed as failure:
                         walker.failures[row] = str(failure)
                     walker.relaxed[row] = control.relaxed
+                    walker.disturbed[row] = control.pushed
                 return sent
 
             return walker.act_in_parts(PARTS, targets)

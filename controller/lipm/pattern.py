@@ -11,7 +11,7 @@ control", sec. II.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import daqp
 import numpy as np
@@ -24,7 +24,7 @@ SAMPLE_S, SAMPLES = 0.05, 32
 # its sole by, where it cannot be inside.
 JERK_WEIGHT, ZMP_WEIGHT = 1e-3, 1000.0
 # The ZMP keeps to this share of a sole; the rest is for the feedback.
-SOLE_SHARE = 0.7
+SOLE_SHARE = 0.9
 # Before the first step the weight goes over to its support foot within this time.
 SHIFT_S = 0.6
 # daqp's flags of a solution, and of a constraint that is an equation.
@@ -39,14 +39,32 @@ class StageFailed(RuntimeError):
 class Phase:
     """A support phase that ends at `end_s` from now, and its ZMP, which moves evenly over it.
 
-    `sole` is the pose x, y, z, yaw of the support foot in single support, None in double support.
+    `soles` (1 or 2, 4) are the poses x, y, z, yaw of the feet that stand.
     """
 
     begin_s: float
     end_s: float
     zmp_from: np.ndarray
     zmp_to: np.ndarray
-    sole: np.ndarray | None = None
+    soles: np.ndarray
+
+    def area(self, half_sole_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A rectangle within the soles and what lies between them.
+
+        Gives the rotation (2, 2) to its axes, its middle (2,) and its half sides (2,). Between two
+        feet it is a strip from one's middle to the other's, beyond which it reaches a little.
+        """
+        narrow_m = SOLE_SHARE * half_sole_m.min()
+        first, last = self.soles[0], self.soles[-1]
+        across = last[:2] - first[:2]
+        length_m = float(np.linalg.norm(across))
+        if length_m < 1e-9:
+            cos, sin = np.cos(first[3]), np.sin(first[3])
+            half_m = SOLE_SHARE * half_sole_m
+        else:
+            cos, sin = across / length_m
+            half_m = np.array([length_m / 2 + narrow_m, narrow_m])
+        return np.array([[cos, sin], [-sin, cos]]), (first + last)[:2] / 2, half_m
 
 
 def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
@@ -57,17 +75,25 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
     feet = feet_world.copy()
     middle = feet[:, :2].mean(axis=0)
     if not len(steps.side):
-        return [Phase(begin_s=0.0, end_s=np.inf, zmp_from=middle, zmp_to=middle)]
+        return [Phase(begin_s=0.0, end_s=np.inf, zmp_from=middle, zmp_to=middle, soles=feet)]
     phases: list[Phase] = []
     begin_s, zmp = steps.lift_off_s[0] - SHIFT_S, middle
     if begin_s > 0:
-        phases.append(Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle))
+        phases.append(
+            Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle, soles=feet.copy())
+        )
     for k, side in enumerate(steps.side):
         support = feet[1 - side].copy()
         lift_off_s, touch_down_s = steps.lift_off_s[k], steps.touch_down_s[k]
         if lift_off_s > 0:
             phases.append(
-                Phase(begin_s=begin_s, end_s=lift_off_s, zmp_from=zmp, zmp_to=support[:2])
+                Phase(
+                    begin_s=begin_s,
+                    end_s=lift_off_s,
+                    zmp_from=zmp,
+                    zmp_to=support[:2],
+                    soles=feet.copy(),
+                )
             )
         if touch_down_s > 0:
             phases.append(
@@ -76,15 +102,15 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
                     end_s=touch_down_s,
                     zmp_from=support[:2],
                     zmp_to=support[:2],
-                    sole=support,
+                    soles=support[None],
                 )
             )
             feet[side] = steps.pose_world[k]
         zmp, begin_s = support[:2], touch_down_s
     middle = feet[:, :2].mean(axis=0)
-    phases.append(Phase(begin_s=begin_s, end_s=begin_s + SHIFT_S, zmp_from=zmp, zmp_to=middle))
-    phases.append(Phase(begin_s=begin_s + SHIFT_S, end_s=np.inf, zmp_from=middle, zmp_to=middle))
-    return phases
+    still_s = begin_s + SHIFT_S
+    last = Phase(begin_s=begin_s, end_s=still_s, zmp_from=zmp, zmp_to=middle, soles=feet)
+    return [*phases, last, replace(last, begin_s=still_s, end_s=np.inf, zmp_from=middle)]
 
 
 def phase_at(phases: Sequence[Phase], time_s: float) -> Phase:
@@ -163,17 +189,11 @@ class PatternGenerator:
         slope = ZMP_WEIGHT * (self._zmp_forced.T @ (free_zmp - reference)).T.ravel()
         end = np.vstack([reference[-1], reference[-1]]) - self._end_free @ state
         equations = self._equations
-        rows, middle = [], []
-        for k, phase in enumerate(at):
-            if phase.sole is None:
-                continue
-            yaw = phase.sole[3]
-            turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-            rows.append((turn[:, :, None] * self._zmp_forced[k]).reshape(2, -1))
-            middle.append(turn @ (phase.sole[:2] - free_zmp[k]))
-        inside = np.vstack(rows) if rows else np.zeros((0, 2 * SAMPLES))
-        centre = np.concatenate(middle) if middle else np.zeros(0)
-        bound = np.tile(self._half_sole_m * SOLE_SHARE, len(rows))
+        areas = {id(phase): phase.area(self._half_sole_m) for phase in phases}
+        turn, middle, half_m = map(np.array, zip(*(areas[id(phase)] for phase in at), strict=True))
+        inside = (turn[..., None] * self._zmp_forced[:, None, None]).reshape(-1, 2 * SAMPLES)
+        centre = np.einsum("kij,kj->ki", turn, middle - free_zmp).ravel()
+        bound = half_m.ravel()
         jerk = self._minimum(slope, equations, end.T.ravel(), inside, centre, bound)
         if jerk is None:
             self.relaxed += 1
