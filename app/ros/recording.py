@@ -14,8 +14,8 @@ from controller.gait import CONTROL_PERIOD_S
 from maps.files import folder_beside
 
 if TYPE_CHECKING:
-    from app.navigation.live_navigator import Replanner
     from app.navigation.navigator import Navigator
+    from app.navigation.replanner import Replanner
     from app.ros.messages import Told
     from app.ros.walk_stream import WalkStream
     from maps.grid import OccupancyGrid
