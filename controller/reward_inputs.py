@@ -13,7 +13,6 @@ from controller.gait import CONTROL_PERIOD_S
 from controller.observation import pelvis_yaw_rad
 from controller.walker import Walker
 from planner.plan import wrap_angle
-from planner.robot_model import FootShape
 
 SWING_FOOT_SHARE = 0.7
 # Apex of the swing on level ground, and its increase per metre of climb: edges and treads that are
@@ -73,7 +72,6 @@ class RewardInputs:
     ground_force_weights: np.ndarray  # (B, 2) vertical force over the robot's weight
     sole_speed_m_s: np.ndarray  # (B, 2)
     sole_height_m: np.ndarray  # (B, 2) above the ground of the foot's target
-    sole_tilt_rad: np.ndarray  # (B, 2) of each sole from the horizontal
     foot_error_m: np.ndarray  # (B, 2) horizontal distance of each foot from its own target
     # (B, 2) the same from where it should be by now: a swing foot is on its way to its target
     foot_path_error_m: np.ndarray
@@ -97,8 +95,7 @@ class RewardInputs:
     posture_error_rad: np.ndarray  # (B,) mean absolute, of the joints from half-sitting
     standing: np.ndarray  # (B,) commanded to stand
     peak_force_weights: np.ndarray  # (B,) of one foot, over the physics steps
-    # (B, 2) most over the physics steps, of the sole's speed above that allowed at the height of
-    # its lowest corner
+    # (B, 2) most over the physics steps, of the sole's speed above that allowed at its height
     landing_overspeed_m_s: np.ndarray
 
 
@@ -154,20 +151,6 @@ def swing_path_error_m(
     return np.maximum(np.linalg.norm(sole[:, :2] - place, axis=1) - forgiven_m, 0.0)
 
 
-def lowest_corner_m(
-    sole_z_m: np.ndarray, x_axis_z: np.ndarray, z_axis_z: np.ndarray, foot: FootShape
-) -> np.ndarray:
-    """Height of the lowest corner of each sole, from that of its middle (any shape).
-
-    `x_axis_z` and `z_axis_z` are the z components of the sole's axes, along it and out of its upper
-    side.
-    """
-    # The z components of three axes at right angles are a unit vector.
-    y_axis_z = np.sqrt(np.clip(1 - x_axis_z**2 - z_axis_z**2, 0.0, 1.0))
-    below_m = 0.5 * (foot.length_m * np.abs(x_axis_z) + foot.width_m * y_axis_z)
-    return np.asarray(sole_z_m - below_m)
-
-
 def reward_inputs(
     walker: Walker, step: StepTargets, previous_torque_nm: np.ndarray
 ) -> RewardInputs:
@@ -175,7 +158,6 @@ def reward_inputs(
     sim, sensors, qpos = walker.sim, walker.scene.sensors, walker.sim.qpos
     targets, window = step.foot_targets, step.window
     latest, soles = sim.sensors[:, -1], walker.soles_world()
-    sole_up = latest[:, sensors.sole_z_axis_world[:, 2]]
     pelvis = latest[:, sensors.pelvis_pos_world]
     head_offset = latest[:, sensors.head_pos_world[:2]] - pelvis[:, :2]
     torque_nm = walker.joint_torque_nm()
@@ -190,7 +172,6 @@ def reward_inputs(
         support_indicator=step.support_indicator,
         ground_force_weights=force_z_n.mean(axis=1) / weight_n,
         foot_heading_error_rad=np.abs(wrap_angle(soles[..., 3] - targets[..., 3])),
-        sole_tilt_rad=np.arccos(np.clip(sole_up, -1, 1)),
         target_distance_m=np.linalg.norm(to_present, axis=2).min(axis=1),
         root_distance_m=np.linalg.norm(pelvis[:, :2] - window[..., :2].mean(axis=1), axis=1),
         tilt_rad=np.arccos(np.clip(1 - 2 * (qpos[:, 4] ** 2 + qpos[:, 5] ** 2), -1, 1)),
@@ -232,16 +213,7 @@ def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[
         soles[foot], step.lift_off[rows], targets[foot], step.swing_gone[rows]
     )
     # A foot may touch down between two control steps, so each physics step counts.
-    sole_z_m, x_axis_z, z_axis_z = (
-        sim.sensors[:, :, of_sole[:, 2]]
-        for of_sole in (
-            sensors.sole_pos_world,
-            sensors.sole_x_axis_world,
-            sensors.sole_z_axis_world,
-        )
-    )
-    foot_shape = walker.robot.step_model.foot
-    heights_m = lowest_corner_m(sole_z_m, x_axis_z, z_axis_z, foot_shape) - ground_z[:, None]
+    heights_m = sim.sensors[:, :, sensors.sole_pos_world[:, 2]] - ground_z[:, None]
     speeds_m_s = np.linalg.norm(sim.sensors[:, :, sensors.sole_linvel_world], axis=3)
     allowed_m_s = TOUCHDOWN_M_S + FASTER_PER_S * np.maximum(heights_m, 0.0)
     overspeed_m_s = np.where(heights_m < NEAR_GROUND_M, speeds_m_s - allowed_m_s, 0.0)

@@ -118,16 +118,6 @@ def joint_acceleration(s: RewardInputs) -> np.ndarray:
     return np.exp(-s.joint_acceleration_rad_s2 / 25)
 
 
-def sole_level(s: RewardInputs) -> np.ndarray:
-    """Both soles horizontal, in the air too; as steep far from it as near.
-
-    A foot that comes down on its heel or its edge does so early, before it has slowed down. On
-    stairs a heel is raised to clear the edge behind it: 20 degrees for 10 cm.
-    """
-    tilt_rad = np.maximum(s.sole_tilt_rad - 3.5 * s.climb_m[:, None], 0.0)
-    return 1 - np.mean(np.minimum(tilt_rad / 0.2, 2.0), axis=1)
-
-
 def stance_at_rest(s: RewardInputs) -> np.ndarray:
     """Support feet at rest."""
     weight = (1 + s.support_indicator) / 2
@@ -190,7 +180,6 @@ TERMS = {
         action_smoothness,
         torque_smoothness,
         joint_acceleration,
-        sole_level,
         stance_at_rest,
         swing_profile,
         pelvis_height,
@@ -227,21 +216,20 @@ PRECISE: Mapping[str, float] = {
 }
 # Upright, quiet, low power. Alone it trains a policy that stands still: see `RewardSchedule`.
 QUIET: Mapping[str, float] = {
-    "ground_force": 0.07,
-    "foot_path": 0.23,
+    "ground_force": 0.08,
+    "foot_path": 0.26,
     "named_foot_heading": 0.05,
-    "sole_level": 0.08,
-    "stance_at_rest": 0.04,
+    "stance_at_rest": 0.05,
     "swing_profile": 0.08,
     "soft_landing": 0.12,
-    "upright": 0.04,
+    "upright": 0.05,
     "facing": 0.04,
     "pelvis_height": 0.06,
     "pelvis_speed": 0.02,
     "power": 0.06,
     "standing_posture": 0.03,
-    "peak_force": 0.02,
-    "joint_acceleration": 0.04,
+    "peak_force": 0.03,
+    "joint_acceleration": 0.05,
     "action_smoothness": 0.02,
 }
 PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}

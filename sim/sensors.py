@@ -22,7 +22,6 @@ class Sensors:
 
     sole_pos_world: np.ndarray  # (2, 3)
     sole_x_axis_world: np.ndarray  # (2, 3) along the foot
-    sole_z_axis_world: np.ndarray  # (2, 3) out of its upper side
     sole_linvel_world: np.ndarray  # (2, 3)
     ground_force_world: np.ndarray  # (2, 3) on the foot
     pressure_pos_world: np.ndarray  # (2, 3) centre of pressure, 0 without contact
@@ -49,7 +48,6 @@ class Sensors:
         return cls(
             sole_pos_world=both("sole_pos"),
             sole_x_axis_world=both("sole_x_axis"),
-            sole_z_axis_world=both("sole_z_axis"),
             sole_linvel_world=both("sole_linvel"),
             ground_force_world=both("ground_force")[:, :3],
             pressure_pos_world=both("ground_force")[:, 3:],
@@ -96,7 +94,6 @@ def add_sensors(spec: mujoco.MjSpec, robot: Robot) -> None:
         sole, foot = f"{side}_sole", (objects.mjOBJ_GEOM, f"{side}_foot")
         add(f"{sole}_pos", sensor.mjSENS_FRAMEPOS, objects.mjOBJ_SITE, sole)
         add(f"{sole}_x_axis", sensor.mjSENS_FRAMEXAXIS, objects.mjOBJ_SITE, sole)
-        add(f"{sole}_z_axis", sensor.mjSENS_FRAMEZAXIS, objects.mjOBJ_SITE, sole)
         add(f"{sole}_linvel", sensor.mjSENS_FRAMELINVEL, objects.mjOBJ_SITE, sole)
         contact(f"{side}_ground_force", (told.mjCONDATA_FORCE, told.mjCONDATA_POS), foot)
     body = objects.mjOBJ_XBODY

@@ -22,7 +22,6 @@ from controller.observation import (
 from controller.step_cursor import STANCE, StepSequence
 from controller.step_sequences import draw_sequence
 from controller.walker import Walker
-from planner.robot_model import FootShape
 from sim.posture import mirrored_qpos, mirrored_qvel
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
@@ -144,7 +143,6 @@ PERFECT = ri.RewardInputs(
     ground_force_weights=np.array([[1.0, 0.0]]),
     sole_speed_m_s=np.array([[0.0, 2.0]]),
     sole_height_m=np.array([[0.0, 0.07]]),
-    sole_tilt_rad=np.zeros((1, 2)),
     foot_error_m=np.zeros((1, 2)),
     foot_heading_error_rad=np.zeros((1, 2)),
     target_distance_m=np.zeros(1),
@@ -213,13 +211,6 @@ def test_weights_sum_to_1(preset):
         ("upper_body", {"head_offset_m": np.array([0.2])}, np.exp(-0.4)),
         ("action_smoothness", {"action_change_rad": np.array([0.2])}, np.exp(-1)),
         ("torque_smoothness", {"torque_change_nm": np.array([4.0])}, np.exp(-1)),
-        ("sole_level", {"sole_tilt_rad": np.array([[0.0, 0.1]])}, 0.75),
-        ("sole_level", {"sole_tilt_rad": np.array([[1.0, 0.5]])}, -1.0),
-        (
-            "sole_level",
-            {"sole_tilt_rad": np.array([[0.0, 0.45]]), "climb_m": np.array([0.1])},
-            0.75,
-        ),
         # the swing foot may be as fast as it likes, the other not; both count on the way between
         ("stance_at_rest", {"sole_speed_m_s": np.array([[0.1, 9.0]])}, np.exp(-1)),
         (
@@ -301,17 +292,6 @@ def test_a_climbing_foot_may_be_off_its_way_by_the_rise(rise_m, x_m, expected_m)
     target = np.array([[1.6, 0.0, rise_m, 0.0]])
     error_m = ri.swing_path_error_m(sole, start, target, np.array([0.5]))
     assert error_m == pytest.approx([expected_m])
-
-
-def test_the_lowest_corner_of_a_tilted_sole():
-    """Against the corners one by one, turned about all axes."""
-    rng, foot = np.random.default_rng(0), FootShape(length_m=0.2, width_m=0.1)
-    corners = np.array([[x, y, 0.0] for x in (-0.1, 0.1) for y in (-0.05, 0.05)])
-    for _ in range(50):
-        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        expected_m = 0.3 + (corners @ turn.T)[:, 2].min()
-        low_m = ri.lowest_corner_m(np.array(0.3), turn[2, 0], turn[2, 2], foot)
-        assert low_m == pytest.approx(expected_m)
 
 
 def test_landing_speed_is_seen_between_two_control_steps():
