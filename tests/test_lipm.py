@@ -21,7 +21,7 @@ from controller.lipm.stabilizer import PROPORTIONAL_HZ, DcmFeedback, ForceDistri
 from controller.lipm.swing_foot import has_landed, swing_over
 from controller.step_cursor import StepSequence, UpcomingSteps
 from controller.walker import Walker
-from sim.robots import get_robot
+from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 from tests.programs import ROOM, refusal
 
@@ -195,7 +195,13 @@ def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, br
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--robot", "h1"], "legs of 6 joints with an ankle that rolls, and those of h1 have 5"),
+        pytest.param(
+            ["--robot", "h1"],
+            "legs of 6 joints with an ankle that rolls, and those of h1 have 5",
+            marks=pytest.mark.skipif(
+                "h1" not in robot_names(), reason="its model comes with the extra `unitree`"
+            ),
+        ),
         (["--policy", "own.safetensors"], "--policy goes with --controller policy"),
     ],
 )

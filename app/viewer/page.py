@@ -53,7 +53,7 @@ from sim.robots import robot_names
 FRAMES_PER_S = 30.0
 # Nobody watches: just so often that whoever comes sees what is.
 _UNSEEN_FRAMES_PER_S = 4.0
-_NOTICE_FOR_S = 6.0
+_NOTICE_FOR_S = 12.0
 _IN_THE_WAY = {WALL: "a wall", 0: "a box"}
 
 
