@@ -85,7 +85,7 @@ def walked(options: TrialsOptions) -> list[dict[str, Any]]:
     model = find_robot_with_limits(options.robot).step_model
     trials = draw_trials(grid, options)
     compile_planner(model, options.planner_options())
-    results = []
+    results: list[dict[str, Any]] = []
     with ProgressBar(f"walks on {options.map}", len(trials)) as bar:
         walk = functools.partial(walk_one, grid, options)
         for result in in_order(walk, trials, options.workers):
