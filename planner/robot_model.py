@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from maps.yaml_files import Section
 
 Point = tuple[float, float]
 Interval = tuple[float, float]
@@ -263,3 +266,46 @@ def level_box(model: StepModel) -> RoundedBox:
 def _check_positive(name: str, value: float) -> None:
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{name} {value} must be a finite number above 0")
+
+
+_SHAPES = ("foot", "body", "limits", "steps")
+STEP_MODEL_NEEDS = (*_SHAPES, "stance_width_m")
+_NUMBERS = tuple(field.name for field in fields(StepModel) if field.name not in _SHAPES)
+
+
+def step_model_of(section: Section, beside: tuple[str, ...] = ()) -> StepModel:
+    """The step model in a section of a file; `beside` are keys that may stand there too.
+
+    Raises:
+        YamlFileError: A key is missing or unknown, or a value is wrong.
+    """
+    section.check_keys(STEP_MODEL_NEEDS, (*beside, *_SHAPES, *_NUMBERS))
+    with_shape: dict[str, Any] = {
+        "foot": FootShape(**_sizes_of(section, "foot")),
+        "body": BodyShape(**_sizes_of(section, "body")),
+        "limits": step_limits_of(section, "limits"),
+        "steps": section.points("steps", 3),
+    }
+    numbers: dict[str, Any] = {key: section.number(key) for key in _NUMBERS if key in section}
+    if "headings" in numbers:
+        numbers["headings"] = section.whole("headings")
+    return section.made(lambda: StepModel(**with_shape, **numbers))
+
+
+def step_limits_of(section: Section, key: str) -> StepLimits:
+    """The step limits below a key of a file.
+
+    Raises:
+        YamlFileError: A key is missing or unknown, or a value is wrong.
+    """
+    known = [field.name for field in fields(StepLimits)]
+    limits = section.section(key, ("x_m", "y_m", "yaw_rad"), known)
+    intervals = {name: limits.interval(name) for name in limits.values if name != "reach_m"}
+    reach_m = limits.points("reach_m", 2) if "reach_m" in limits else ()
+    return section.made(lambda: StepLimits(**intervals, reach_m=reach_m))
+
+
+def _sizes_of(section: Section, key: str) -> dict[str, float]:
+    names = ("length_m", "width_m")
+    sizes = section.section(key, names, names)
+    return {name: sizes.number(name, above=0.0) for name in names}

@@ -13,12 +13,17 @@ import math
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from maps.yaml_files import Section, YamlFileError, read_yaml
-from planner.robot_model import BodyShape, FootShape, StepLimits, StepModel
+from planner.robot_model import (
+    STEP_MODEL_NEEDS,
+    StepLimits,
+    StepModel,
+    step_limits_of,
+    step_model_of,
+)
 from sim.file_model import FileModel, MeshSource, PlacedShape, Soles
 from sim.joint_roles import ROLES
 from sim.robot import GaitTiming, LegJoint, Robot
@@ -33,8 +38,6 @@ _PHYSICAL = (
     *("gait", "joints", "soles", "shapes"),
 )
 KEYS = ("format", "name", *_PHYSICAL, "step_model", *_OPTIONAL)
-_SHAPES = ("foot", "body", "limits", "steps")
-_STEP_NUMBERS = tuple(f.name for f in fields(StepModel) if f.name not in _SHAPES)
 _BODIES = ("pelvis", "left_leg", "right_leg")
 _JOINT = (
     *("names", "role", "mirror_sign", "half_sitting_deg", "range_deg", "kp_nm_per_rad"),
@@ -149,40 +152,13 @@ def _name(document: Section) -> str:
 
 def _step_model(document: Section) -> StepModel:
     """The step model of a robot file: its keys are those of step models in docs/ros.md."""
-    section = document.section(
-        "step_model", (*_SHAPES, "stance_width_m"), (*_SHAPES, *_STEP_NUMBERS)
-    )
-    with_shape: dict[str, Any] = {
-        "foot": FootShape(**_sizes(section, "foot")),
-        "body": BodyShape(**_sizes(section, "body")),
-        "limits": _step_limits(section, "limits"),
-        "steps": section.points("steps", 3),
-    }
-    numbers: dict[str, Any] = {key: section.number(key) for key in _STEP_NUMBERS if key in section}
-    if "headings" in numbers:
-        numbers["headings"] = section.whole("headings")
-    return section.made(lambda: StepModel(**with_shape, **numbers))
-
-
-def _sizes(section: Section, key: str) -> dict[str, float]:
-    names = ("length_m", "width_m")
-    sizes = section.section(key, names, names)
-    return {name: sizes.number(name, above=0.0) for name in names}
-
-
-def _step_limits(section: Section, key: str) -> StepLimits:
-    limits = section.section(
-        key, ("x_m", "y_m", "yaw_rad"), [field.name for field in fields(StepLimits)]
-    )
-    intervals = {name: limits.interval(name) for name in limits.values if name != "reach_m"}
-    reach_m = limits.points("reach_m", 2) if "reach_m" in limits else ()
-    return section.made(lambda: StepLimits(**intervals, reach_m=reach_m))
+    return step_model_of(document.section("step_model", STEP_MODEL_NEEDS))
 
 
 def _training_limits(document: Section) -> StepLimits | None:
     if "training_limits" not in document:
         return None
-    return _step_limits(document, "training_limits")
+    return step_limits_of(document, "training_limits")
 
 
 def _model_names(path: Path) -> dict[str, set[str]]:
