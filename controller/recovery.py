@@ -72,14 +72,14 @@ def step_change(walker: Walker, rows: np.ndarray | None = None) -> StepChange:
     rows = np.arange(walker.sim.count) if rows is None else rows
     side, tick = cursor.side[rows], cursor.tick[rows]
     outward = np.where(side == Side.LEFT, 1.0, -1.0)
-    support = walker.soles_world()[rows, 1 - side]
+    state = walker.state
+    support = state.soles_world[rows, 1 - side]
 
     def in_support_frame(point_world: np.ndarray) -> np.ndarray:
         point = rotate_xy(point_world[:, :2] - support[:, :2], -support[:, 3])
         return np.column_stack([point[:, 0], outward * point[:, 1]])
 
-    sensors, latest = walker.scene.sensors, walker.sim.sensors[rows, -1]
-    com, velocity = latest[:, sensors.com_pos_world], latest[:, sensors.com_linvel_world]
+    com, velocity = state.com_pos_world[rows], state.com_linvel_world[rows]
     omega = np.sqrt(GRAVITY_M_S2 / np.maximum(com[:, 2] - support[:, 2], 0.1))
     capture = in_support_frame(com + velocity / omega[:, None])
     target = cursor.foot_targets[rows, side]

@@ -147,6 +147,12 @@ class StepCursor:
         later = (step >= self.entry[rows, None]) & (entry <= end)
         self._pose[rows, :, :2] += later[..., None] * offset_m[:, None]
 
+    def move_steps(self, row: int, first: int, pose_world: np.ndarray) -> None:
+        """Give the steps of robot `row` from number `first` on, from 0, other poses (n, 4)."""
+        end = STANCE + int(self._steps[row])
+        self._pose[row, STANCE + first : end] = pose_world
+        self._pose[row, end] = self._pose[row, end - STANCE]
+
     def hasten(self, rows: np.ndarray, swing_ticks: np.ndarray) -> None:
         """End the present swings of the robots `rows` (n,) after so many ticks (n,).
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
+from controller.leg_odometry import RobotState
 from controller.observation import observe
 from controller.step_cursor import StepCursor, StepSequence
 from sim.batch import SimBatch
@@ -49,6 +50,8 @@ class Walker:
     tell a push from its own gait clears it, others leave it true.
     `noise` adds to an observation what its sensors err by, which `observe` itself is without.
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps.
+    `estimated` is the state that robots see in place of the true one, where sensors are all that
+    they have; whoever estimates it sets it anew after each step.
     """
 
     def __init__(
@@ -72,6 +75,7 @@ class Walker:
         self.disturbed = np.ones(count, dtype=bool)
         self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
+        self.estimated: RobotState | None = None
         self._sent = np.zeros((count, len(self.robot.joints)))
 
     def place(self, row: int, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
@@ -98,10 +102,11 @@ class Walker:
 
     def observe(self) -> np.ndarray:
         """The policy's observation of every robot (B, N), before scaling."""
+        seen = self.estimated
         return observe(
             self.robot,
-            qpos=self.sim.qpos,
-            qvel=self.sim.qvel,
+            qpos=self.sim.qpos if seen is None else seen.qpos,
+            qvel=self.sim.qvel if seen is None else seen.qvel,
             joint_qpos=self.scene.joint_qpos,
             joint_qvel=self.scene.joint_qvel,
             clock=self.cursor.clock,
@@ -132,6 +137,20 @@ class Walker:
         """
         self.sim.step_in_parts(parts, targets_rad)
         return self.cursor.advance()
+
+    @property
+    def state(self) -> RobotState:
+        """What the robots know of themselves: their true states, or as they are `estimated`."""
+        if self.estimated is not None:
+            return self.estimated
+        sensors, latest = self.scene.sensors, self.sim.sensors[:, -1]
+        return RobotState(
+            qpos=self.sim.qpos,
+            qvel=self.sim.qvel,
+            soles_world=self.soles_world(),
+            com_pos_world=latest[:, sensors.com_pos_world],
+            com_linvel_world=latest[:, sensors.com_linvel_world],
+        )
 
     def soles_world(self) -> np.ndarray:
         """Pose x, y, z, yaw of each sole in the world (B, 2, 4) at the last physics step."""

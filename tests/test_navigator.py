@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from app.commands.trials import TrialsOptions, draw_trials, summarise, table, walk_one
+from app.commands.trials import TrialsOptions, draw_trials, walk_one
+from app.evaluation.trials_summary import summarise, table
 from app.navigation.live_navigator import LiveNavigator, WalkHistory
 from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.planner_process import PlannerProcess

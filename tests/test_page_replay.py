@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from app.navigation.navigator import Placed
+from app.navigation.placed import Placed
 from app.pictures.rendering import Recording
 from app.viewer.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
 from app.viewer.scene import robot_meshes_of

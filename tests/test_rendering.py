@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.navigation.navigator import Placed
+from app.navigation.placed import Placed
 from app.pictures.film import captioned, tile
 from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from app.pictures.rendering import (

@@ -10,6 +10,7 @@ from app.navigation.report import (
     Outcome,
     Percentiles,
     PolicyFile,
+    SensedSummary,
     installed_versions,
 )
 from app.output import ExitCode
@@ -76,14 +77,24 @@ GAIT = GaitSummary(
 )
 PLACE = NarrowPlace(x=1.5, y=-0.25, width_m=0.65, needed_m=0.842)
 BY_MODEL = {"name": "lipm", "rate_hz": 200}
-WITH_ALL = dataclasses.replace(REPORT, gait=GAIT, narrow_place=PLACE, controller=BY_MODEL)
+SENSED = SensedSummary(
+    walked_m=4.5,
+    turned_rad=3.1,
+    drift_m=0.02,
+    drift_rad=0.01,
+    own_foot_error_m={"median": 0.01, "p95": 0.02, "max": 0.03},
+    localization_error_m=None,
+)
+WITH_ALL = dataclasses.replace(
+    REPORT, gait=GAIT, narrow_place=PLACE, controller=BY_MODEL, sensed=SENSED
+)
 
 
 def test_every_field_is_in_the_document():
     fields = {field.name for field in dataclasses.fields(NavigationReport)}
     assert set(json.loads(WITH_ALL.to_json())) == fields | {"format"}
     without = set(json.loads(REPORT.to_json()))
-    assert without == (fields | {"format"}) - {"controller", "gait", "narrow_place"}
+    assert without == (fields | {"format"}) - {"controller", "gait", "narrow_place", "sensed"}
 
 
 @pytest.mark.parametrize(

@@ -40,6 +40,7 @@ from app.output import (
     write_text,
 )
 from app.ros.recording import Recorder, recording, require_recordable
+from app.sensing import SensingOptions, require_policy
 from app.workers import compile_planner
 from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NavigateOptions(PlanningOptions, GoalOptions):
+class NavigateOptions(PlanningOptions, GoalOptions, SensingOptions):
     """Plan footsteps to the goal, walk them in MuJoCo with the trained policy, and report.
 
     The robot plans again when a foot lands too far from its step. The exit code is 0 when the
@@ -132,6 +133,10 @@ def run(options: NavigateOptions) -> int:
         switch_gl_off()
     started = time.perf_counter()
     _require_reachable(options)
+    require_policy(options, options.controller)
+    sensing = options.sensing()
+    if options.view and sensing is not None:
+        raise InputError("--sensed is a walk that nobody steers: leave out --view")
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
     by_model = options.controller == "lipm"
@@ -199,7 +204,12 @@ def walked(
         start=options.start,
         goal=options.goal,
         seed=options.seed,
-        config=NavigatorConfig(planner=options.search, pace=options.pace, push_n_s=options.push),
+        config=NavigatorConfig(
+            planner=options.search,
+            pace=options.pace,
+            push_n_s=options.push,
+            sensing=options.sensing(),
+        ),
     )
     recorder = stack.enter_context(recording(navigator, record=options.record, bag=options.bag))
     plan = navigator.plan()

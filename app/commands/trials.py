@@ -6,18 +6,17 @@ import functools
 import hashlib
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from app.cluster import ClusterOption
 from app.controllers import ControllerOption, load_controlled
-from app.navigation.report import Outcome, Percentiles, installed_versions
+from app.evaluation.trials_summary import summarise, table
+from app.navigation.report import Outcome, installed_versions
 from app.options import (
     CountOption,
     FolderOption,
@@ -32,6 +31,7 @@ from app.options import (
 )
 from app.output import ExitCode, InputError, ProgressBar, claim_folder, say, to_json, write_text
 from app.ros.recording import recording, require_recordable
+from app.sensing import SensingOptions, require_policy
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
 from maps.files import from_json, read_json
@@ -41,6 +41,7 @@ from planner.robot_model import StepModel
 from sim.robot import Robot
 
 if TYPE_CHECKING:
+    from app.navigation.navigator import Navigator
     from controller.walker import Controller
     from planner.collision import Terrain
 
@@ -52,7 +53,7 @@ DRAWS_PER_POSE = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialsOptions(PlanningOptions):
+class TrialsOptions(PlanningOptions, SensingOptions):
     """Walk between many random pairs of free poses on a map, and print how it went.
 
     Start and goal are drawn from all poses at which the robot can stand; the same seed gives
@@ -108,6 +109,8 @@ class Trial:
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
+    require_policy(options, options.controller)
+    options.sensing()
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
     claim_folder(options.out, option="--out")
@@ -158,6 +161,7 @@ def settings_of(
     options: TrialsOptions, grid: OccupancyGrid, robot: Robot, policy: Controller
 ) -> dict[str, Any]:
     """All that the walks depend on, but for how many there are."""
+    sensing = options.sensing()
     ground = hashlib.sha256(repr((grid.shape, grid.resolution_m, grid.origin)).encode())
     ground.update(grid.cells.tobytes())
     if grid.elevation_m is not None:
@@ -172,6 +176,7 @@ def settings_of(
         "reachable": options.reachable,
         "pace": options.pace,
         "push_n_s": options.push,
+        "sensing": sensing and asdict(sensing),
     }
 
 
@@ -271,7 +276,12 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
-        config=NavigatorConfig(planner=planner, pace=options.pace, push_n_s=options.push),
+        config=NavigatorConfig(
+            planner=planner,
+            pace=options.pace,
+            push_n_s=options.push,
+            sensing=options.sensing(),
+        ),
     )
     file = options.record and options.record.with_stem(f"{options.record.stem}-{trial.number}")
     with recording(navigator, record=file, bag=None) as recorder:
@@ -302,6 +312,7 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         "min_clearance_m": navigator.min_clearance_m,
         "gait": None if report.gait is None else asdict(report.gait),
         "relaxed": navigator.walker.relaxed[0],
+        "sensed": _sensed(navigator),
         "joined": joined,
         "narrow_place": None if report.narrow_place is None else asdict(report.narrow_place),
         "planning_time_s": report.planning_time_s,
@@ -309,89 +320,10 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
     }
 
 
-def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Counts of outcomes, and percentiles over all feet placed."""
-    outcomes = Counter(result["outcome"] for result in results)
-    errors = np.concatenate([result["foot_errors_m"] for result in results] or [[]])
-    clearances = [r["min_clearance_m"] for r in results if r["min_clearance_m"] is not None]
-    goals = [r["goal_error_m"] for r in results if r["outcome"] == Outcome.REACHED]
-    parted = [result for result in results if not result.get("joined", True)]
-    return {
-        "walks": len(results),
-        **{str(outcome): outcomes.get(str(outcome), 0) for outcome in Outcome},
-        "unconnected": len(parted),
-        "narrow_places": _narrow_places([r["narrow_place"] for r in parted if r["narrow_place"]]),
-        "steps_taken": len(errors),
-        "replans": sum(result["replans"] for result in results),
-        "recovery_steps": sum(result["recovery_steps"] for result in results),
-        "foot_error_m": _percentiles(errors),
-        "goal_error_m": _percentiles(goals),
-        "min_clearance_m": min(clearances, default=None),
-        "planning_time_s": _percentiles([result["planning_time_s"] for result in results]),
-        "gait": _gait(results),
-        "relaxed": dict(sum((Counter(r.get("relaxed", {})) for r in results), Counter())),
-        "sim_time_s": sum(result["sim_time_s"] for result in results),
-    }
-
-
-def _narrow_places(places: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
-    """The different ones, to within a decimetre, with how many pairs each parts; most first."""
-    at = [(round(place["x"], 1), round(place["y"], 1)) for place in places]
-    counted = Counter(at).most_common()
-    return [{**places[at.index(spot)], "pairs": count} for spot, count in counted]
-
-
-def _gait(results: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
-    """Medians over the walks of what their gait was like; None where nobody walked far enough."""
-    gaits = [result["gait"] for result in results if result["gait"] is not None]
-    if not gaits:
+def _sensed(navigator: Navigator) -> dict[str, Any] | None:
+    """How well the robot knew where it was; None where it knew its true state."""
+    sensing = navigator.sensing
+    if sensing is None:
         return None
-
-    def median(name: str) -> float:
-        values = [gait[name] for gait in gaits]
-        return float(np.median([v["median"] if isinstance(v, Mapping) else v for v in values]))
-
-    names = ("pelvis_height_m", "pelvis_bob_m", "swing_apex_m", "peak_force_weights")
-    return {name: median(name) for name in (*names, "cost_of_transport", "speed_m_s")}
-
-
-def table(summary: Mapping[str, Any]) -> str:
-    """The summary for people."""
-    walks = summary["walks"]
-    rows = {"walks": f"{walks}"}
-    for outcome in Outcome:
-        count = summary[str(outcome)]
-        rows[str(outcome)] = f"{count} ({100 * count / walks:.1f} %)"
-    parted = summary["unconnected"]
-    if parted:
-        rows["reached"] += f", of {walks - parted} that a way joins"
-        rows["no_path"] += f"; {parted} pairs lie in parts that this robot cannot pass between"
-        rows["no_path"] += "".join(
-            f", {place['width_m']:.2f} m wide at {place['x']:.1f},{place['y']:.1f}"
-            for place in summary["narrow_places"][:3]
-        )
-    rows["steps taken"] = f"{summary['steps_taken']}, {summary['recovery_steps']} against a push"
-    rows["replans"] = f"{summary['replans']}"
-    for key, title in (("foot_error_m", "feet from their steps"), ("goal_error_m", "goal missed")):
-        if summary[key] is not None:
-            rows[title] = ", ".join(f"{100 * v:.1f} cm {name}" for name, v in summary[key].items())
-    if summary["min_clearance_m"] is not None:
-        rows["least clearance"] = f"{100 * summary['min_clearance_m']:.1f} cm"
-    if summary["gait"] is not None:
-        rows["gait (medians)"] = (
-            "pelvis {pelvis_height_m:.2f} m, bob {bob:.1f} cm, feet lifted {apex:.1f} cm, "
-            "cost of transport {cost_of_transport:.2f} at {speed_m_s:.2f} m/s".format(
-                bob=100 * summary["gait"]["pelvis_bob_m"],
-                apex=100 * summary["gait"]["swing_apex_m"],
-                **summary["gait"],
-            )
-        )
-    if summary["relaxed"]:
-        told = (f"{stage} {count}" for stage, count in summary["relaxed"].items())
-        rows["constraints dropped"] = ", ".join(told).replace("_", " ")
-    return "\n".join(f"{title:<24}{value}" for title, value in rows.items())
-
-
-def _percentiles(values: ArrayLike) -> dict[str, float] | None:
-    found = Percentiles.of(values)
-    return None if found is None else asdict(found)
+    errors_m = [round(error_m, 4) for error_m in sensing.own_errors_m]
+    return {**asdict(sensing.summary()), "own_foot_errors_m": errors_m}

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from app.navigation.navigator import Navigator, Placed
+from app.navigation.navigator import Navigator
+from app.navigation.placed import Placed
 from app.navigation.report import Outcome
-from app.navigation.route import FootstepPlanner
+from app.navigation.route import FootstepPlanner, halting_plan
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
@@ -20,10 +21,6 @@ from planner.plan import (
     FootstepPlan,
     NarrowPlace,
     Pose,
-    feet_at,
-    finite_pose,
-    from_frame,
-    pair_pose,
 )
 from planner.robot_model import Side
 from sim.scene import min_clearance_m, scene_of
@@ -149,18 +146,11 @@ class LiveNavigator(Navigator):
         if replan_point.first_side is None:
             self.waiting, self.going, self.halted, self.idle_s = None, False, True, 0.0
             return
-        side, width_m = replan_point.first_side, self.robot.step_model.stance_width_m
-        support = replan_point.feet_world[side.other]
-        middle = np.array([[0.0, side.outward * width_m / 2, 0.0]])
-        feet = feet_at(from_frame(middle, support[[0, 1, 3]])[0], width_m)
-        feet[:, 2] = support[2]
-        feet = self._footing.at_rest(feet)
-        plan = FootstepPlan(
-            start_feet_world=replan_point.feet_world,
-            start=finite_pose(pair_pose(replan_point.feet_world).tolist()),
-            goal=finite_pose(pair_pose(feet).tolist()),
-            side=np.array([side], np.int8),
-            pose_world=feet[side][None],
+        plan = halting_plan(
+            self._footing,
+            self.robot.step_model.stance_width_m,
+            replan_point.feet_world,
+            replan_point.first_side,
         )
         self.go(plan.goal, plan, replan_point, fresh=False)
         self.halted = True

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from app.navigation.placed import Placed
 from app.navigation.report import (
     NavigationReport,
     Outcome,
@@ -15,14 +16,15 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
-from app.navigation.route import FootstepPlanner, Route, plan_through
+from app.navigation.route import FootstepPlanner, Route, halting_plan, plan_through
+from app.navigation.sensed import Sensing, SensingConfig, has_moved, in_frame, in_map
 from controller.evaluation.gait_summary import GaitRecorder
-from controller.evaluation.push_recovery import Push
+from controller.evaluation.push_recovery import random_pushes
 from controller.gait import CONTROL_PERIOD_S, step_durations_s
 from controller.lipm.servos import report_of
 from controller.policy import Policy
 from controller.recovery import change_steps, step_change
-from controller.step_cursor import StepSequence
+from controller.step_cursor import STANCE, StepSequence
 from controller.walker import Controller, Walker
 from maps.grid import OccupancyGrid
 from planner.endpoints import Footing
@@ -35,7 +37,6 @@ from sim.scene import min_clearance_m, scene_of
 
 GOAL_TOLERANCE_M = 0.10
 GOAL_TOLERANCE_RAD = math.radians(10.0)
-_PUSH_EVERY_S = (3.0, 5.0)
 _PUSHES = 1  # makes their draws differ from those of the joints' noise
 # Shares of the move of a step that are tried when the whole of it would end on an obstacle.
 _MOVE_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -45,7 +46,8 @@ _MOVE_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 class NavigatorConfig:
     """When to plan again, when to give up, the `pace` of the steps, one of `PACES`, and pushes.
 
-    The pelvis is pushed by `push_n_s` over 0.1 s in a direction drawn anew, every 3 to 5 s.
+    The pelvis is pushed by `push_n_s` over 0.1 s in a direction drawn anew, every 3 to 5 s. With
+    `sensing` the robot knows no more than it measures.
     """
 
     replan_error_m: float = 0.06
@@ -60,31 +62,8 @@ class NavigatorConfig:
     joint_noise_rad: float = 0.01
     pace: str = "normal"
     push_n_s: float = 0.0
+    sensing: SensingConfig | None = None
     planner: PlannerOptions = field(default_factory=PlannerOptions)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Placed:
-    """One step as it was asked for and as the foot came to rest: poses x, y, z, yaw (4,).
-
-    z is the height of the ground on which the foot stands.
-    `time_s` is when the step's period ended, in simulated time since the start of the walk.
-    """
-
-    side: Side
-    asked_world: np.ndarray
-    placed_world: np.ndarray
-    time_s: float
-
-    @property
-    def error_m(self) -> float:
-        """Horizontal distance between the two."""
-        return float(np.hypot(*(self.placed_world - self.asked_world)[:2]))
-
-    @property
-    def error_rad(self) -> float:
-        """Difference of heading, not negative."""
-        return abs(float(wrap_angle(self.placed_world[3] - self.asked_world[3])))
 
 
 class Navigator:
@@ -123,6 +102,11 @@ class Navigator:
         noise = np.random.default_rng(seed).uniform(-1, 1, len(robot.joints))
         qpos[self.scene.joint_qpos] += self.config.joint_noise_rad * noise
         self.walker.place(0, qpos)
+        sensing = self.config.sensing
+        self.sensing = None if sensing is None else Sensing(self.walker, sensing, seed=seed)
+        # Where the frame of the steps that are walked lies in the map, x, y, yaw.
+        self._frame = np.zeros(3)
+        self._halts = False
         # Until there is a plan it stands where it is: its next two steps are its own feet.
         self.walker.follow(
             0, StepSequence.of(self._start_feet, np.zeros(0, np.int8), np.zeros((0, 4)))
@@ -135,7 +119,7 @@ class Navigator:
         self.reason = ""
         self.recovery_steps = 0
         self._recovers = False
-        self._pushes = _draw_pushes(self.config.push_n_s, seed)
+        self._pushes = random_pushes(self.config.push_n_s, np.random.default_rng((seed, _PUSHES)))
         self._push = next(self._pushes, None)
         self._still_ticks = 0
         self._arrived_ticks = 0
@@ -168,9 +152,7 @@ class Navigator:
     @property
     def goal_error(self) -> tuple[float, float]:
         """Distance in m and heading difference in rad of the feet's pair pose from the goal."""
-        pose = pair_pose(self._feet())
-        distance = math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1])
-        return distance, abs(float(wrap_angle(pose[2] - self.goal[2])))
+        return self._distance_to_goal(self._true_feet())
 
     @property
     def min_clearance_m(self) -> float | None:
@@ -222,6 +204,7 @@ class Navigator:
             if isinstance(self.policy, Policy)
             else {**report_of(self.robot), "relaxed": self.walker.relaxed[0]},
             gait=self.gait.summary(),
+            sensed=None if self.sensing is None else self.sensing.summary(),
             narrow_place=self.plans[-1].narrow_place if self.plans else None,
             versions=installed_versions(),
         )
@@ -246,19 +229,24 @@ class Navigator:
         self._recover()
         cursor = self.walker.cursor
         side = Side(int(cursor.side[0]))
-        asked = cursor.foot_targets[0, side].copy()
+        asked = cursor.foot_targets[0, [side]]
         walking = not cursor.standing[0]
         stepped = bool(self._act()[0])
         self.qpos.append(self.walker.sim.qpos[0].copy())
+        if self.sensing is not None:
+            self.sensing.ticked(self.time_s)
+            self._halts |= self.sensing.has_jumped()
         self._look_for_failure()
         if self.outcome is not None:
             return
         self.gait.ticked(self.walker, side, walking=walking, landed=stepped)
         if stepped:
-            placed_world = self._feet()[side]
-            self._landed(
-                Placed(side=side, asked_world=asked, placed_world=placed_world, time_s=self.time_s)
-            )
+            step = {"side": side, "asked_world": self._in_map(asked)[0], "time_s": self.time_s}
+            self.placed.append(Placed(placed_world=self._true_feet()[side], **step))
+            seen = Placed(placed_world=self._feet()[side], **step)
+            if self.sensing is not None:
+                self.sensing.landed(seen)
+            self._landed(seen)
         if cursor.arrived[0]:
             self._settle()
         elif self.time_s > self._deadline_s:
@@ -294,7 +282,7 @@ class Navigator:
             moved = feet.copy()
             moved[side, :2] += share * offset_m
             change.offset_world_m[0] = share * offset_m
-            if share == 0 or self._footing.may_stand(moved):
+            if share == 0 or self._footing.may_stand(self._in_map(moved)):
                 break
         sooner = change.swing_ticks[0] < cursor.ticks.swing[0]
         if not (sooner or change.offset_world_m[0].any()):
@@ -304,36 +292,63 @@ class Navigator:
         self._recovers = True
 
     def _landed(self, placed: Placed) -> None:
-        """Note where a foot came to rest; plan again when that is not where the plan goes on."""
-        self.placed.append(placed)
+        """Plan again where a foot came to rest elsewhere than the plan goes on from."""
         config = self.config
         off_z_m = abs(float(placed.placed_world[2] - placed.asked_world[2]))
         near = placed.error_m <= config.replan_error_m and off_z_m <= config.replan_error_z_m
         as_planned = near and placed.error_rad <= config.replan_error_rad and not self._recovers
         self._recovers = False
-        if as_planned or self._out_of_replans():
-            return
         if self.walker.cursor.arrived[0]:
             return  # settling measures the goal itself
+        if self._halts:
+            self._halts = False
+            plan = halting_plan(
+                self._footing,
+                self.robot.step_model.stance_width_m,
+                self._feet(),
+                placed.side.other,
+            )
+            self._follow(plan, wait_ticks=0, walking=True)
+            return
+        if (as_planned and self._keeps_to_map()) or self._out_of_replans():
+            return
         plan = self._plan_from(self._feet(), placed.side.other)
         if plan.found:
             self._follow(plan, wait_ticks=0, walking=True)
 
+    def _keeps_to_map(self) -> bool:
+        """Whether the plan goes on where the robot takes itself to be.
+
+        Steps that the policy has seen stay where they are. Those after them follow a small
+        correction of the robot's place; a larger one needs another plan.
+        """
+        if self.sensing is None or np.array_equal(self._frame, self.sensing.frame):
+            return True
+        if has_moved(self._frame, self.sensing.frame, pair_pose(self._feet())[:2]):
+            return False
+        cursor, plan = self.walker.cursor, self.followed[-1][1]
+        unseen = max(int(cursor.entry[0]) - STANCE, 0) + 1
+        cursor.move_steps(0, unseen, in_frame(plan.pose_world[unseen:], self.sensing.frame))
+        return True
+
     def _settle(self) -> None:
         """Wait until the robot stands still, then say whether this is the goal or plan again."""
         config = self.config
-        still = np.linalg.norm(self.walker.sim.qvel[0, :3]) < config.still_speed_m_s
+        still = np.linalg.norm(self.walker.state.qvel[0, :3]) < config.still_speed_m_s
         self._still_ticks = self._still_ticks + 1 if still else 0
         self._arrived_ticks += 1
         settled = self._still_ticks * CONTROL_PERIOD_S >= config.settle_s
         if not settled and self._arrived_ticks * CONTROL_PERIOD_S < config.settle_limit_s:
             return
-        distance_m, angle_rad = self.goal_error
-        near = distance_m <= GOAL_TOLERANCE_M and angle_rad <= GOAL_TOLERANCE_RAD
-        if settled and near:
-            self._end(Outcome.REACHED, "")
+        believed = self._distance_to_goal(self._feet())
+        if settled and _is_near(*believed):
+            is_there = _is_near(*self.goal_error)
+            self._end(
+                Outcome.REACHED if is_there else Outcome.TIMED_OUT,
+                "" if is_there else f"{_from_goal(*self.goal_error)}, and takes itself to be there",
+            )
             return
-        where = f"{distance_m:.2f} m and {math.degrees(angle_rad):.0f} degrees from the goal"
+        where = _from_goal(*believed)
         if self._out_of_replans():
             self._end(Outcome.TIMED_OUT, f"{where} after {self.replans} replans")
             return
@@ -385,9 +400,11 @@ class Navigator:
             self.policy.require_pace(self.robot, plan.step_s)
         side = plan.side.astype(np.int64)
         over_z_m = self._footing.swing_over_z_m(plan)
-        sequence = StepSequence.of(
-            plan.start_feet_world, side, plan.pose_world, plan.step_s, over_z_m
+        self._frame = self._frame if self.sensing is None else self.sensing.frame.copy()
+        start, steps = (
+            in_frame(poses, self._frame) for poses in (plan.start_feet_world, plan.pose_world)
         )
+        sequence = StepSequence.of(start, side, steps, plan.step_s, over_z_m)
         self.walker.follow(0, sequence, wait_ticks=wait_ticks, walking=walking)
         self.followed.append((self.time_s, plan))
         self._still_ticks = self._arrived_ticks = 0
@@ -397,8 +414,21 @@ class Navigator:
         self._deadline_s = self.time_s + config.wait_s + walk_s + config.spare_time_s
 
     def _feet(self) -> np.ndarray:
+        """Both soles (2, 4) in the map, as the robot takes them to be, on the ground there."""
+        return self._footing.at_rest(self._in_map(self.walker.state.soles_world[0]))
+
+    def _true_feet(self) -> np.ndarray:
         """Both soles (2, 4) as they are, at the height of the ground that they rest on."""
         return self._footing.at_rest(self.walker.soles_world()[0])
+
+    def _in_map(self, poses: np.ndarray) -> np.ndarray:
+        """Poses (n, 4) in the frame of the steps, in the map."""
+        return poses if self.sensing is None else in_map(poses, self.sensing.frame)
+
+    def _distance_to_goal(self, feet_world: np.ndarray) -> tuple[float, float]:
+        pose = pair_pose(feet_world)
+        distance_m = math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1])
+        return distance_m, abs(float(wrap_angle(pose[2] - self.goal[2])))
 
     def _out_of_replans(self) -> bool:
         return self.replans >= self.config.max_replans
@@ -407,14 +437,9 @@ class Navigator:
         self.outcome, self.reason = outcome, reason
 
 
-def _draw_pushes(impulse_ns: float, seed: int) -> Iterator[Push]:
-    """One push after the other; none of no impulse."""
-    rng, time_s = np.random.default_rng((seed, _PUSHES)), 0.0
-    while impulse_ns > 0:
-        time_s += rng.uniform(*_PUSH_EVERY_S)
-        angle = rng.uniform(-math.pi, math.pi)
-        yield Push(
-            impulse_ns=impulse_ns,
-            direction=(math.cos(angle), math.sin(angle)),
-            begins_tick=round(time_s / CONTROL_PERIOD_S),
-        )
+def _is_near(distance_m: float, angle_rad: float) -> bool:
+    return distance_m <= GOAL_TOLERANCE_M and angle_rad <= GOAL_TOLERANCE_RAD
+
+
+def _from_goal(distance_m: float, angle_rad: float) -> str:
+    return f"{distance_m:.2f} m and {math.degrees(angle_rad):.0f} degrees from the goal"

@@ -25,7 +25,9 @@ FORMAT = "navigation-report/1"
 PACKAGES = ("mujoco", "numpy", "numba")
 # Left out where a walk is too short to have a gait, or no place too narrow; older reports do not
 # have the others.
-_OPTIONAL = ("compile_time_s", "controller", "gait", "narrow_place", "recovery_steps")
+_OPTIONAL = frozenset(
+    ("compile_time_s", "controller", "gait", "narrow_place", "recovery_steps", "sensed")
+)
 PoseTuple = tuple[float, float, float]
 
 
@@ -77,6 +79,28 @@ class PolicyFile:
         return cls(file=str(path), sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
+@dataclass(frozen=True, kw_only=True)
+class SensedSummary:
+    """How well the robot knew where it was.
+
+    `walked_m` and `turned_rad` are the way of the point midway between the feet and the turns of
+    their heading, from step to step. `drift_m` and `drift_rad` are by how much the odometry alone
+    was off at the end. `own_foot_error_m` are the distances of feet from their steps as the robot
+    saw both, median, 95th percentile and most. `localization_error_m` are those of its place in the
+    map at the steps, `fixes`, `rejected` and `jumps` what came of localization.
+    """
+
+    walked_m: float
+    turned_rad: float
+    drift_m: float
+    drift_rad: float
+    own_foot_error_m: dict[str, float] | None
+    localization_error_m: dict[str, float] | None
+    fixes: int = 0
+    rejected: int = 0
+    jumps: int = 0
+
+
 @dataclass(frozen=True, kw_only=True, repr=False)
 class NavigationReport:
     """Everything that report.json says, under the same names and in the same order.
@@ -87,6 +111,7 @@ class NavigationReport:
     `recovery_steps` were moved or hastened against a push. `compile_time_s` is how long plans
     waited for the compiler, which is not part of `planning_time_s`. `controller` tells of one that
     is no policy: its name, rate and servo gains, and how often each stage dropped its constraints.
+    `sensed` tells how well a robot that goes by its sensors knew where it was.
     """
 
     outcome: Outcome
@@ -112,6 +137,7 @@ class NavigationReport:
     controller: Mapping[str, Any] | None = None
     gait: GaitSummary | None = None
     narrow_place: NarrowPlace | None = None
+    sensed: SensedSummary | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -123,7 +149,7 @@ class NavigationReport:
         """The text of report.json."""
         values = {key: getattr(self, key) for key in _KEYS}
         values["outcome"] = str(self.outcome)
-        for key in ("foot_error_m", "policy", "gait", "narrow_place"):
+        for key in ("foot_error_m", "policy", "gait", "narrow_place", "sensed"):
             values[key] = None if values[key] is None else dataclasses.asdict(values[key])
         for key in ("start", "goal"):
             values[key] = [float(part) for part in values[key]]
@@ -156,6 +182,7 @@ class NavigationReport:
                 ("policy", PolicyFile),
                 ("gait", GaitSummary),
                 ("narrow_place", NarrowPlace),
+                ("sensed", SensedSummary),
             ):
                 values[key] = None if values.get(key) is None else kind(**values[key])
             for key in ("start", "goal"):
@@ -184,6 +211,8 @@ class NavigationReport:
             )
         if self.gait is not None:
             lines.append(gait_line(self.gait))
+        if self.sensed is not None:
+            lines.append(sensed_line(self.sensed))
         if self.min_clearance_m is not None:
             lines.append(f"nearest to an obstacle: {100 * self.min_clearance_m:.0f} cm")
         lines.append(
@@ -204,6 +233,20 @@ def gait_line(gait: GaitSummary) -> str:
         f"{gait.peak_force_weights:.2f} weights on a foot, cost of transport "
         f"{gait.cost_of_transport:.2f} at {gait.speed_m_s:.2f} m/s"
     )
+
+
+def sensed_line(sensed: SensedSummary) -> str:
+    """How well the robot knew where it was, for people."""
+    line = (
+        f"sensed: odometry off by {100 * sensed.drift_m:.1f} cm and "
+        f"{math.degrees(sensed.drift_rad):.1f} degrees after {sensed.walked_m:.1f} m and "
+        f"{math.degrees(sensed.turned_rad):.0f} degrees of turns"
+    )
+    if sensed.fixes and sensed.localization_error_m is not None:
+        line += f", place known to {100 * sensed.localization_error_m['median']:.1f} cm (median)"
+    if sensed.jumps:
+        line += f"; localization jumped {sensed.jumps} times: stopped and planned again"
+    return line
 
 
 _KEYS = tuple(field.name for field in dataclasses.fields(NavigationReport))

@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
-from planner.plan import FootstepPlan, Pose, finite_pose
+from planner.endpoints import Footing
+from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, from_frame, pair_pose
 from planner.robot_model import Side
 
 
@@ -107,4 +108,22 @@ def _joined(legs: Sequence[FootstepPlan], via: tuple[Pose, ...]) -> Route:
         planner=first.planner,
         via=via,
         joints=tuple(np.cumsum([len(leg) for leg in legs])[:-1].tolist()),
+    )
+
+
+def halting_plan(
+    footing: Footing, width_m: float, feet_world: np.ndarray, side: Side
+) -> FootstepPlan:
+    """One step of that foot to beside the other one, from feet (2, 4), so far from it."""
+    support = feet_world[side.other]
+    middle = np.array([[0.0, side.outward * width_m / 2, 0.0]])
+    feet = feet_at(from_frame(middle, support[[0, 1, 3]])[0], width_m)
+    feet[:, 2] = support[2]
+    feet = footing.at_rest(feet)
+    return FootstepPlan(
+        start_feet_world=feet_world,
+        start=finite_pose(pair_pose(feet_world).tolist()),
+        goal=finite_pose(pair_pose(feet).tolist()),
+        side=np.array([side], np.int8),
+        pose_world=feet[side][None],
     )

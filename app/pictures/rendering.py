@@ -20,7 +20,7 @@ from sim.robot import GROUND_PREFIX, PHYSICS_GROUP, VISUAL_GROUP
 if TYPE_CHECKING:
     import mujoco
 
-    from app.navigation.navigator import Placed
+    from app.navigation.placed import Placed
 
 # Height of what is left of an obstacle that is cut away, so that one sees where it stands.
 STUMP_M = 0.06

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from app.navigation.navigator import Navigator, Placed
+from app.navigation.navigator import Navigator
+from app.navigation.placed import Placed
 from app.ros.description import ROOT_FRAME, FrameTransform, RobotFrames
 from app.ros.messages import (
     FootprintMarkers,

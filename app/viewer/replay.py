@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.navigation.navigator import Placed
+from app.navigation.placed import Placed
 from app.output import ProgressBar, write_text
 from app.pictures.canvas import LEFT, RIGHT, hex_of
 from app.pictures.rendering import Recording

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -27,6 +28,7 @@ DIRECTIONS: Mapping[str, tuple[float, float]] = MappingProxyType(
 PUSH_S = 0.1
 EARLIEST_S = 2.0
 PUSH_WALK_S = 8.0
+PUSH_EVERY_S = (3.0, 5.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,3 +117,16 @@ def _walk_pushed(
         if moves_steps:
             change_steps(walker, step_change(walker))
     return upright
+
+
+def random_pushes(impulse_ns: float, rng: np.random.Generator) -> Iterator[Push]:
+    """One push after the other, from anywhere, every 3 to 5 seconds; none of no impulse."""
+    time_s = 0.0
+    while impulse_ns > 0:
+        time_s += rng.uniform(*PUSH_EVERY_S)
+        angle_rad = rng.uniform(-math.pi, math.pi)
+        yield Push(
+            impulse_ns=impulse_ns,
+            direction=(math.cos(angle_rad), math.sin(angle_rad)),
+            begins_tick=round(time_s / CONTROL_PERIOD_S),
+        )

@@ -1,0 +1,85 @@
+"""Whether the robot goes by its sensors alone, and how it is localized: options of the commands."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+from app.options import Reach, ReachOption, number, text
+from app.output import InputError
+
+if TYPE_CHECKING:
+    from app.navigation.sensed import SensingConfig
+
+
+def parse_jump(word: str) -> tuple[float, float]:
+    """Reads a time and a length such as 5,1; raises ValueError unless neither is negative."""
+    with contextlib.suppress(ValueError):
+        at_s, jump_m = map(float, word.split(","))
+        if 0 <= at_s < math.inf and 0 <= jump_m < math.inf:
+            return at_s, jump_m
+    raise ValueError(f"{word!r} is not a jump; write S,M in seconds and metres, such as 5,1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensingOptions:
+    """What the robot knows of itself."""
+
+    sensed: bool = False
+    """Let the robot know what its joints, inertial unit and soles measure, and nothing else."""
+
+    localization: Annotated[float | None, number(above=0, at_most=40, metavar="HZ")] = None
+    """With --sensed: how often a second it is told its place on the map, such as 10; none: never,
+    and it goes by its legs."""
+
+    localization_noise: ReachOption = Reach(0.03, math.radians(2.0))
+    """Standard deviations of that place and heading, such as 0.03,2deg."""
+
+    localization_delay: Annotated[float, number(at_least=0, at_most=5)] = 0.1
+    """By how many seconds it comes late, such as 0.1."""
+
+    localization_outliers: Annotated[float, number(at_least=0, at_most=0.9)] = 0.0
+    """Share of places that are off by a metre, such as 0.05."""
+
+    localization_jump: Annotated[tuple[float, float] | None, text("S,M", parse_jump)] = None
+    """From when on, and by how much, all places are off, such as 5,1."""
+
+    def sensing(self) -> SensingConfig | None:
+        """What the navigator is told; None: the robot knows its true state.
+
+        Raises:
+            InputError: The options do not go together.
+        """
+        from app.navigation.localization import LocalizationConfig
+        from app.navigation.sensed import SensingConfig
+
+        if not self.sensed:
+            if self.localization is not None:
+                raise InputError("--localization goes with --sensed")
+            return None
+        if self.localization is None:
+            return SensingConfig()
+        noise = self.localization_noise
+        if min(noise) <= 0:
+            raise InputError(f"--localization-noise {noise.m:g},{noise.rad:g}: must be above 0")
+        at_s, jump_m = self.localization_jump or (0.0, 0.0)
+        localization = LocalizationConfig(
+            rate_hz=self.localization,
+            noise_m=noise.m,
+            noise_rad=noise.rad,
+            delay_s=self.localization_delay,
+            outliers=self.localization_outliers,
+            jump_at_s=at_s,
+            jump_m=jump_m,
+        )
+        return SensingConfig(localization=localization)
+
+
+def require_policy(options: SensingOptions, controller: str) -> None:
+    """Raises InputError where a controller by a model is asked to go by sensors."""
+    if options.sensed and controller != "policy":
+        raise InputError(
+            f"--sensed goes with --controller policy: {controller} takes the true state"
+        )
