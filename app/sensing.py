@@ -31,8 +31,8 @@ class SensingOptions:
     """Let the robot know what its joints, inertial unit and soles measure, and nothing else."""
 
     localization: Annotated[float | None, number(above=0, at_most=40, metavar="HZ")] = None
-    """With --sensed: how often a second it is told its place on the map, such as 10; none: never,
-    and it goes by its legs."""
+    """How often a second such a robot is told its place on the map, such as 10; none: never, and
+    it goes by its legs."""
 
     localization_noise: ReachOption = Reach(0.03, math.radians(2.0))
     """Standard deviations of that place and heading, such as 0.03,2deg."""
