@@ -26,7 +26,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from app.output import InputError, as_bad_input, say
 from controller.gait import PACES
-from controller.policy import Policy, PolicyError, load_policy
+from controller.policy import PolicyError
 from controller.tracking_limits import with_tracking_limits
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
@@ -428,23 +428,3 @@ def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
     robot = find_robot(name)
     with as_bad_input(PolicyError):
         return with_tracking_limits(robot, policy)
-
-
-def load_walker(
-    name: str, policy_file: Path | None = None, pace: str = "normal"
-) -> tuple[Robot, Policy]:
-    """The robot as `find_robot_with_limits` gives it, and the policy that walks it at that pace.
-
-    Raises:
-        InputError: There is no such robot or policy, or it knows its robot's own gait alone.
-    """
-    robot = find_robot_with_limits(name, policy_file)
-    with as_bad_input(PolicyError):
-        policy = load_policy(robot, policy_file)
-    if pace != "normal" and not policy.is_paced:
-        raise InputError(
-            f"--pace {pace}: the policy of {robot.name} knows one pace, {robot.gait.step_s:g} s a "
-            "step; walk at --pace normal, or give --policy one that `train` made since steps have "
-            "durations"
-        )
-    return robot, policy

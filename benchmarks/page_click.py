@@ -21,7 +21,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.options import MapOptions, load_walker, read_grid
+from app.controllers import load_walker
+from app.options import MapOptions, read_grid
 from app.viewer.page import Page, open_page
 from app.viewer.session import Session
 from benchmarks.page_watcher import Watcher, painted_in_background, wait

@@ -26,7 +26,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from app.options import MapOptions, load_walker, read_grid
+from app.controllers import load_walker
+from app.options import MapOptions, read_grid
 from app.viewer.page import Page, open_page
 from benchmarks.page_watcher import Watcher, painted_in_background, wait
 

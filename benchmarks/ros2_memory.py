@@ -25,7 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from app.options import MapOptions, load_walker, read_grid
+from app.controllers import load_walker
+from app.options import MapOptions, read_grid
 from app.ros import messages
 from app.ros.messages import Told, decoded, header, new, pose, told_map
 from app.ros.node import FootstepNode

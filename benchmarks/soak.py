@@ -29,9 +29,9 @@ import tyro
 from shapely import Polygon, box
 from shapely.affinity import rotate, translate
 
+from app.controllers import load_walker
 from app.navigation.live_navigator import LiveNavigator
 from app.navigation.planner_process import place_to_stand, somewhere_to_stand
-from app.options import load_walker
 from app.viewer.obstacles import Obstacle, snapped
 from app.viewer.session import Session
 from controller.gait import CONTROL_PERIOD_S

@@ -37,7 +37,8 @@ class TaskConfig:
     the rise of the stage if `exact_rise`, else with rises up to it. A share `planned_share` of the
     flat episodes take steps from the planner's corpus, if there is one. In `paced_share` of the
     episodes step durations are drawn from `step_s`, on stairs none shorter than the robot's gait;
-    in the others they are those of the robot's gait.
+    in the others they are those of the robot's gait. Physics steps last `timestep_s`, or less where
+    the robot's model needs shorter ones.
 
     Raises:
         ValueError: an invalid share, length or noise.
@@ -209,7 +210,11 @@ class WalkTask:
         self.stage = stage or Stage()
         stairs = mode in STAIR_MODES or (mode is None and self.config.stairs_share > 0)
         self.walker = Walker(
-            build_scene(robot, timestep_s=self.config.timestep_s, treads=stairs),
+            build_scene(
+                robot,
+                timestep_s=min(self.config.timestep_s, robot.longest_timestep_s),
+                treads=stairs,
+            ),
             count=count,
             threads=threads,
             capacity=MAX_STEPS,

@@ -96,8 +96,14 @@ class Policy:
 
 
 def own_policy_path(robot: Robot) -> Path:
-    """Where the robot's own policy is: among those that come along, or beside the robot's file."""
-    return (robot.folder or POLICY_FOLDER) / f"{robot.name}.safetensors"
+    """Where the robot's own policy is: among those that come along, or beside the robot's file.
+
+    Where there is none, that of the robot `trained_as`.
+    """
+    path = (robot.folder or POLICY_FOLDER) / f"{robot.name}.safetensors"
+    if robot.trained_as and not path.is_file():
+        return path.with_stem(robot.trained_as)
+    return path
 
 
 def policy_for(
@@ -179,9 +185,10 @@ def _check(robot: Robot, path: Path, policy: Policy, digest: str) -> None:
     fields = policy_fields(robot)
     if about.get("observation") == layout(fields[:-1]):
         fields = fields[:-1]  # older: without the durations of the steps
+    is_stand_in = robot.trained_as and about.get("robot") == robot.trained_as
     expected = {
         "format": FORMAT,
-        "robot": robot.name,
+        "robot": robot.trained_as if is_stand_in else robot.name,
         "joints": [joint.name for joint in robot.joints],
         "observation": layout(fields),
         "sha256": digest,

@@ -38,8 +38,13 @@ class TrackingLimits:
 
 
 def tracking_limits_path(path: Path | None, robot: Robot) -> Path:
-    """Path of the tracking limits of a policy, by default of the robot's own."""
-    return (path or own_policy_path(robot)).with_suffix(".measured.json")
+    """Path of the tracking limits of a policy, by default of the robot's own.
+
+    Those of a robot that walks on the policy of another model of it have a file of their own.
+    """
+    path = path or own_policy_path(robot)
+    name = robot.name if robot.trained_as and path.stem == robot.trained_as else path.stem
+    return path.with_name(f"{name}.measured.json")
 
 
 def tracking_limits_text(measured: TrackingLimits) -> str:
@@ -54,7 +59,7 @@ def load_tracking_limits(robot: Robot, policy_path: Path | None = None) -> Track
         PolicyError: the file cannot be read or is of another robot.
     """
     path = tracking_limits_path(policy_path, robot)
-    about_path = path.with_name(path.name.removesuffix(".measured.json") + ".json")
+    about_path = (policy_path or own_policy_path(robot)).with_suffix(".json")
     if not (path.is_file() and about_path.is_file()):
         return None
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -44,6 +45,8 @@ def mirrored_qpos(scene: Scene, qpos: np.ndarray) -> np.ndarray:
     mirrored[1] *= -1
     mirrored[[4, 6]] *= -1
     mirrored[scene.joint_qpos] = sign * qpos[scene.joint_qpos][index]
+    for mine, theirs, signs in _passive_pairs(scene, "qpos"):
+        mirrored[mine] = signs * qpos[theirs]
     return mirrored
 
 
@@ -53,16 +56,39 @@ def mirrored_qvel(scene: Scene, qvel: np.ndarray) -> np.ndarray:
     mirrored = qvel.copy()
     mirrored[[1, 3, 5]] *= -1
     mirrored[scene.joint_qvel] = sign * qvel[scene.joint_qvel][index]
+    for mine, theirs, signs in _passive_pairs(scene, "qvel"):
+        mirrored[mine] = signs * qvel[theirs]
     return mirrored
 
 
-def reach_m(scene: Scene, data: mujoco.MjData, geom: int) -> np.ndarray:
-    """Half extents (3,) along the world's axes of a collision shape about its centre.
+def _passive_pairs(scene: Scene, of: str) -> Iterator[tuple[slice, slice, np.ndarray]]:
+    """For each passive joint: where it is in qpos or qvel, where the other leg's is, and signs."""
+    passive, model = scene.robot.passive, scene.model
+    half = len(passive) // 2
+    for joint, other in zip(passive, passive[half:] + passive[:half], strict=True):
+        signs = np.array(joint.mirror_sign, float)
+        if of == "qpos" and len(signs) == 3:
+            signs = np.r_[1.0, signs]  # a quaternion's w stays as it is
+        starts = (
+            int(getattr(model.joint(one.name), f"{'qpos' if of == 'qpos' else 'dof'}adr")[0])
+            for one in (joint, other)
+        )
+        mine, theirs = (slice(start, start + len(signs)) for start in starts)
+        yield mine, theirs, signs
+
+
+def reach_m(
+    scene: Scene, data: mujoco.MjData, geom: int, axes: np.ndarray | None = None
+) -> np.ndarray:
+    """Half extents (3,) along the axes (3, 3), its columns, of a collision shape about its centre.
+
+    By default along those of the world.
 
     Raises:
-        ValueError: It is no box, sphere or capsule.
+        ValueError: It is no box, sphere, capsule or ellipsoid.
     """
-    turn, size = np.abs(data.geom_xmat[geom].reshape(3, 3)), scene.model.geom_size[geom]
+    turn, size = data.geom_xmat[geom].reshape(3, 3), scene.model.geom_size[geom]
+    turn = np.abs(turn if axes is None else axes.T @ turn)
     kind = mujoco.mjtGeom(scene.model.geom_type[geom])
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
         return turn @ size
@@ -70,7 +96,9 @@ def reach_m(scene: Scene, data: mujoco.MjData, geom: int) -> np.ndarray:
         return np.full(3, size[0])
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
         return turn[:, 2] * size[1] + size[0]
-    raise ValueError(f"{scene.model.geom(geom).name} must be a box, sphere or capsule")
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return np.linalg.norm(turn * size, axis=1)
+    raise ValueError(f"{scene.model.geom(geom).name} must be a box, sphere, capsule or ellipsoid")
 
 
 def posture_over(scene: Scene, feet_world: np.ndarray) -> mujoco.MjData:
@@ -78,7 +106,8 @@ def posture_over(scene: Scene, feet_world: np.ndarray) -> mujoco.MjData:
 
     Inverse kinematics by damped least squares on MuJoCo's Jacobians, one leg after the other,
     blind to joint ranges: with six joints to a leg there is one posture near half-sitting. Legs of
-    five joints have no ankle roll: their soles lean as the legs do, by `LEAN_RAD` at most.
+    five joints have no ankle roll: their soles lean as the legs do, by `LEAN_RAD` at most. Loops
+    and couplings of passive joints stay closed, springs as they are in half-sitting.
 
     Raises:
         PostureError: The feet do not get there.
@@ -87,29 +116,60 @@ def posture_over(scene: Scene, feet_world: np.ndarray) -> mujoco.MjData:
     middle = feet_world.mean(axis=0)
     data.qpos[:] = scene.qpos_at(middle[[0, 1, 3]])
     half = len(scene.robot.joints) // 2
-    to_soles = np.full((2, 6), np.inf)
+    moved = [_moved_dofs(scene, k) for k in range(2)]
+    to_soles, open_loops = np.full((2, 6), np.inf), np.zeros(1)
     for _ in range(_ITERATIONS):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
+        loops, open_loops = _loops(model, data)
+        velocity = np.zeros(model.nv)
         for k, side in enumerate(SIDES):
             site = model.site(f"{side}_sole").id
-            joints = slice(k * half, (k + 1) * half)
             jacobian = np.zeros((6, model.nv))
             mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
             # All in the foot's own axes: position, roll, pitch, yaw.
             along = np.kron(np.eye(2), data.site_xmat[site].reshape(3, 3).T)
             to_soles[k] = along @ to_pose(data, site, feet_world[k])
-            jacobian = along @ jacobian[:, scene.joint_qvel[joints]]
             task = [0, 1, 2, 4, 5] if half == 5 else range(6)
-            damped = jacobian[task] @ jacobian[task].T + 1e-6 * np.eye(half)
-            move = jacobian[task].T @ np.linalg.solve(damped, to_soles[k, task])
-            data.qpos[scene.joint_qpos[joints]] += 0.5 * move
+            mine = loops[:, moved[k]].any(axis=1)
+            rows = np.vstack([(along @ jacobian)[task], loops[mine]])[:, moved[k]]
+            wanted = np.r_[to_soles[k, task], -open_loops[mine]]
+            damped = rows @ rows.T + 1e-6 * np.eye(len(rows))
+            velocity[moved[k]] = rows.T @ np.linalg.solve(damped, wanted)
+        mujoco.mj_integratePos(model, data.qpos, velocity, 0.5)
     off = np.abs(to_soles) - ([0, 0, 0, LEAN_RAD, 0, 0] if half == 5 else 0)
-    if not off.max() < _OFF:
+    if not max(off.max(), np.abs(open_loops).max(initial=0.0)) < _OFF:
         told = feet_world.round(3).tolist()
         raise PostureError(f"no posture over {told}: off by {off.max():.3f} m or rad")
     mujoco.mj_forward(model, data)
     return data
+
+
+def loop_residual(scene: Scene, data: mujoco.MjData) -> float:
+    """By how much the worst loop or coupling of the passive joints is open in a state, m or rad."""
+    return float(np.abs(_loops(scene.model, data)[1]).max(initial=0.0))
+
+
+def _moved_dofs(scene: Scene, leg: int) -> np.ndarray:
+    """The velocities that inverse kinematics move: all of a leg but its springs."""
+    robot, model = scene.robot, scene.model
+    half = len(robot.passive) // 2
+    dofs = list(scene.joint_qvel[leg * len(robot.joints) // 2 :][: len(robot.joints) // 2])
+    for passive in robot.passive[leg * half : (leg + 1) * half]:
+        joint = model.joint(passive.name)
+        if not np.any(joint.stiffness):
+            start = int(joint.dofadr[0])
+            dofs += range(start, start + len(passive.mirror_sign))
+    return np.array(dofs)
+
+
+def _loops(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Jacobian (n, nv) of the equality constraints, and by how much (n,) they are violated."""
+    if not model.neq:
+        return np.zeros((0, model.nv)), np.zeros(0)
+    mujoco.mj_makeConstraint(model, data)
+    of_loops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    return data.efc_J.reshape(-1, model.nv)[of_loops], data.efc_pos[of_loops]
 
 
 def to_pose(data: mujoco.MjData, site: int, pose: np.ndarray) -> np.ndarray:

@@ -57,6 +57,19 @@ class LegJoint:
     role: str = field(default="", compare=False)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PassiveJoint:
+    """A joint without a motor, which springs, closed loops or couplings of the model move.
+
+    `half_sitting` is its angle in rad, or of a ball joint the quaternion w, x, y, z; `mirror_sign`
+    as of `LegJoint`, of a ball joint for its turn about x, y and z. No policy sees or moves it.
+    """
+
+    name: str
+    half_sitting: tuple[float, ...]
+    mirror_sign: tuple[int, ...]
+
+
 # Joint, kp, kd, torque limit, speed limit, armature, half-sitting in degrees, mirror sign.
 LegRow = tuple[str, float, float, float, float, float, float, int]
 
@@ -113,19 +126,23 @@ class GaitTiming:
 class Robot:
     """Everything that is special about one robot.
 
-    `joints` holds the left leg's joints, then the right leg's in the same order. `height_m` is
-    from the soles to the top of the head with all those joints at 0. The pelvis height (m, above
-    the sole) and pitch are those of the half-sitting posture with flat soles. An episode ends, and
-    a walk counts as fallen, when the pelvis is less than `fallen_height_m` above the lower foot.
-    `add_meshes` dresses a spec that `build` made, for pictures; a robot without it is drawn by its
-    collision shapes. `needs` names the module of a package that `build` takes the model from, and
-    the extra of this project that installs it, where that is not always installed.
-    `training_limits` are the step limits to train on; they may be wider than those of plans, so
-    that what is planned lies well inside what was learned. None for the same. How far they let a
-    step rise is the highest stair that `train` takes. `steady_pressure_share` is above how far
-    out, in shares of half a sole, the centre of pressure has to be in walks that nothing disturbs;
-    beyond it a step changes (`controller/recovery.py`). A robot from a file has the `folder` that
-    the file is in, where its policy is looked for, and the `digest` of what a policy learns from.
+    `joints` holds the left leg's joints, then the right leg's in the same order. `height_m` is from
+    the soles to the top of the head with all those joints at 0, or in half-sitting where there are
+    `passive` joints: the others of the left leg, then of the right one in the same order. The
+    pelvis height (m, above the sole) and pitch are those of the half-sitting posture with flat
+    soles. An episode ends, and a walk counts as fallen, when the pelvis is less than
+    `fallen_height_m` above the lower foot. `add_meshes` dresses a spec that `build` made, for
+    pictures; a robot without it is drawn by its collision shapes. `needs` names the module of a
+    package that `build` takes the model from, and the extra of this project that installs it, where
+    that is not always installed. `training_limits` are the step limits to train on; they may be
+    wider than those of plans, so that what is planned lies well inside what was learned. None for
+    the same. How far they let a step rise is the highest stair that `train` takes.
+    `steady_pressure_share` is above how far out, in shares of half a sole, the centre of pressure
+    has to be in walks that nothing disturbs; beyond it a step changes (`controller/recovery.py`).
+    Physics steps may last `longest_timestep_s` at most, or the simulation is not stable. A robot
+    takes the policies of the robot `trained_as` too, which has the same joints. A robot from a file
+    has the `folder` that the file is in, where its policy is looked for, and the `digest` of what a
+    policy learns from.
     """
 
     name: str
@@ -140,9 +157,12 @@ class Robot:
     fallen_height_m: float
     build: Callable[[], mujoco.MjSpec]
     add_meshes: Callable[[mujoco.MjSpec], None] | None = None
+    passive: tuple[PassiveJoint, ...] = ()
     needs: tuple[str, str] | None = None
     training_limits: StepLimits | None = None
     steady_pressure_share: float = 1.1
+    longest_timestep_s: float = 0.005
+    trained_as: str = ""
     folder: Path | None = None
     digest: str = ""
 

@@ -19,6 +19,7 @@ from sim.posture import (
     SPARE_RAD,
     PostureError,
     joint_ranges,
+    loop_residual,
     mirrored_qpos,
     mirrored_qvel,
     planned_steps,
@@ -93,9 +94,10 @@ def _mass(scene: Scene, problems: Problems) -> str:
 def _joints(scene: Scene, problems: Problems) -> str:
     robot, model = scene.robot, scene.model
     joints, half = robot.joints, len(robot.joints) // 2
+    stated = len(joints) + sum(len(joint.mirror_sign) for joint in robot.passive)
     problems.unless(
-        model.nv == 6 + len(joints) and model.nu == len(joints),
-        f"{model.nv - 6} joints move and {len(joints)} are stated: joints",
+        model.nv == 6 + stated and model.nu == len(joints),
+        f"{model.nv - 6} joints move and {stated} are stated: joints",
     )
     ranges = joint_ranges(scene)
     for joint, (low, high) in zip(joints, ranges, strict=True):
@@ -132,7 +134,8 @@ def _joints(scene: Scene, problems: Problems) -> str:
             bool(body) and model.body(body).name == f"{SIDES[k // half]}_leg",
             f"{joint.name} is not in the {SIDES[k // half]} leg: bodies, {SIDES[k // half]}_leg",
         )
-    return f"{half} in each leg"
+    passive = f", {len(robot.passive) // 2} passive" if robot.passive else ""
+    return f"{half} in each leg{passive}"
 
 
 def _roles(scene: Scene, problems: Problems) -> str:
@@ -153,6 +156,8 @@ def _roles(scene: Scene, problems: Problems) -> str:
 def _half_sitting(scene: Scene, problems: Problems) -> str:
     soles = scene.soles_at(scene.standing_qpos)
     height_m = float(scene.standing_qpos[2])
+    open_by = loop_residual(scene, standing(scene))
+    problems.unless(open_by <= 1e-4, f"loops are open by {open_by:.1e} m or rad: passive joints")
     problems.unless(
         bool(np.abs(soles[:, 2]).max() <= 2e-4),
         f"one sole is {1000 * np.ptp(soles[:, 2]):.1f} mm higher than the other: "
@@ -208,18 +213,18 @@ def _contacts(scene: Scene, problems: Problems) -> str:
 
 def _soles(scene: Scene, problems: Problems) -> str:
     foot = scene.robot.step_model.foot
+    data = standing(scene)
     for side in SIDES:
-        geom, site = scene.model.geom(f"{side}_foot"), scene.model.site(f"{side}_sole")
+        geom, site = scene.model.geom(f"{side}_foot"), data.site(f"{side}_sole")
+        half_m = reach_m(scene, data, geom.id, site.xmat.reshape(3, 3))
         problems.unless(
-            bool(np.allclose(2 * geom.size[:2], [foot.length_m, foot.width_m])),
-            f"the box of the {side} foot is not the planner's foot: step_model, foot",
+            bool(np.allclose(2 * half_m[:2], [foot.length_m, foot.width_m], atol=1e-6)),
+            f"the shape of the {side} foot is not the planner's foot: step_model, foot",
         )
-        turn = np.empty(9)
-        mujoco.mju_quat2Mat(turn, site.quat)
-        below_m = turn.reshape(3, 3).T @ (site.pos - geom.pos)
+        below_m = site.xmat.reshape(3, 3).T @ (site.xpos - data.geom_xpos[geom.id])
         problems.unless(
-            bool(np.allclose(below_m, [0, 0, -geom.size[2]], atol=1e-6)),
-            f"the site of the {side} sole is not in the middle of its box's underside: soles",
+            bool(np.allclose(below_m, [0, 0, -half_m[2]], atol=1e-6)),
+            f"the site of the {side} sole is not in the middle of its shape's underside: soles",
         )
     return f"{100 * foot.length_m:.1f} x {100 * foot.width_m:.1f} cm"
 
@@ -246,9 +251,10 @@ def _body_box(scene: Scene, problems: Problems) -> str:
 
 
 def _height(scene: Scene, problems: Problems) -> str:
-    qpos = np.zeros(scene.model.nq)
-    qpos[3] = 1.0
-    data = state_at(scene, qpos)
+    upright = np.zeros(scene.model.nq)
+    upright[3] = 1.0
+    # Loops are closed in half-sitting, not where all joints are at 0.
+    data = state_at(scene, scene.standing_qpos if scene.robot.passive else upright)
     shapes = np.flatnonzero(
         (scene.model.geom_group == PHYSICS_GROUP) & (scene.model.geom_bodyid > 0)
     )

@@ -162,7 +162,16 @@ def step_model_document(model: StepModel) -> dict[str, Any]:
 
 
 def document_of(robot: Robot) -> tuple[dict[str, Any], mujoco.MjModel]:
-    """What a robot of the registry would have in a file, without its looks, and the light model."""
+    """What a robot of the registry would have in a file, without its looks, and the light model.
+
+    Raises:
+        ValueError: It has passive joints, which robot files do not know.
+    """
+    if robot.passive:
+        raise ValueError(
+            f"{robot.name} has passive joints ({robot.passive[0].name}, ...), which robot files do "
+            "not know: copy its module in sim/robots"
+        )
     spec = robot.build()
     spec.compiler.fusestatic = False  # or compiling takes bodies without joints out of the spec
     axes = pelvis_axes(spec, "pelvis")

@@ -139,6 +139,9 @@ def _standing_qpos(robot: Robot, model: mujoco.MjModel, joint_qpos: np.ndarray) 
     pitch = robot.pelvis_pitch_rad
     data.qpos[3:7] = [math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0]
     data.qpos[joint_qpos] = robot.half_sitting_rad
+    for joint in robot.passive:
+        start = model.joint(joint.name).qposadr[0]
+        data.qpos[start : start + len(joint.half_sitting)] = joint.half_sitting
     mujoco.mj_kinematics(model, data)
     soles = np.stack([data.site(f"{side}_sole").xpos for side in SIDES])
     data.qpos[0:3] -= soles.mean(axis=0)

@@ -95,6 +95,16 @@ class Box(Solid):
     size: Vector
 
 
+@dataclass(frozen=True, kw_only=True)
+class Ellipsoid(Solid):
+    """An ellipsoid along the axes of its body's frame, with its radii along x, y and z."""
+
+    POINTS = ("centre",)
+
+    centre: Vector
+    radii: Vector
+
+
 def capsule(first: Vector, last: Vector, radius: float) -> Rod:
     """The capsule between two points."""
     return Rod(first=first, last=last, radius=radius, is_round=True)
@@ -230,8 +240,10 @@ def _primitive(solid: Solid) -> dict[str, Any]:
     if isinstance(solid, Box):
         half = np.array(solid.size) / 2
         return {"type": kinds.mjGEOM_BOX, "pos": solid.centre, "size": half}
+    if isinstance(solid, Ellipsoid):
+        return {"type": kinds.mjGEOM_ELLIPSOID, "pos": solid.centre, "size": solid.radii}
     if not isinstance(solid, Rod):
-        raise TypeError(f"{solid} is no primitive shape of MuJoCo: take a Rod or a Box")
+        raise TypeError(f"{solid} is no primitive shape: take a Rod, a Box or an Ellipsoid")
     return {
         "type": kinds.mjGEOM_CAPSULE if solid.is_round else kinds.mjGEOM_CYLINDER,
         "fromto": [*solid.first, *solid.last],

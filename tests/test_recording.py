@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from app.cli import main
-from app.options import load_walker
+from app.controllers import load_walker
 from app.ros import messages
 from app.ros.description import RobotFrames, roll_pitch_yaw
 from app.ros.recording import session_recording

@@ -51,6 +51,10 @@ def with_limits(**changes: Any) -> Robot:
     )
 
 
+CASSIE = get_robot("cassie")
+SAGGING = tuple(
+    replace(j, half_sitting=(1.4,)) if j.name.endswith("tarsus") else j for j in CASSIE.passive
+)
 FOOT = replace(ROBOT.step_model.foot, width_m=0.12)
 BODY = replace(ROBOT.step_model.body, width_m=0.5)
 
@@ -81,8 +85,15 @@ BODY = replace(ROBOT.step_model.body, width_m=0.5)
         (
             "soles",
             replace(ROBOT, step_model=replace(ROBOT.step_model, foot=FOOT)),
-            "the box of the left foot is not the planner's foot: step_model, foot",
+            "the shape of the left foot is not the planner's foot: step_model, foot",
         ),
+        (
+            "soles",
+            replace(CASSIE, step_model=replace(CASSIE.step_model, foot=FOOT)),
+            "the shape of the left foot is not the planner's foot: step_model, foot",
+        ),
+        ("half-sitting", replace(CASSIE, passive=SAGGING), "m or rad: passive joints"),
+        ("joints", replace(CASSIE, passive=()), "26 joints move and 10 are stated: joints"),
         (
             "body box",
             replace(ROBOT, step_model=replace(ROBOT.step_model, body=BODY)),

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from app.cluster import ClusterOption, connected, on_cluster
-from app.controllers import CONTROLLERS, ControllerOption, load_controlled
+from app.controllers import CONTROLLERS, ControllerOption, find_policy, load_controlled
 from app.navigation.report import installed_versions
 from app.options import (
     CountOption,
@@ -26,13 +26,11 @@ from app.output import (
     ExitCode,
     InputError,
     ProgressBar,
-    as_bad_input,
     claim_folder,
     say,
     to_json,
     write_text,
 )
-from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import TrackingLimits, tracking_limits_path, tracking_limits_text
 from maps.files import read_json
 from sim.robot import Robot
@@ -118,8 +116,7 @@ def load_measured(options: EvaluateOptions) -> tuple[Robot, Controller]:
     if options.controller != "policy":
         return load_controlled(options, options.controller, "normal")
     robot = find_robot(options.robot)
-    with as_bad_input(PolicyError):
-        return robot, load_policy(robot, options.policy)
+    return robot, find_policy(robot, options.policy)
 
 
 def other_of(options: EvaluateOptions) -> EvaluateOptions | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from app.controllers import find_policy
 from app.options import FileOption, OptionalFile, RobotOptions, SwitchedOn, find_robot
 from app.output import (
     ExitCode,
@@ -14,7 +15,6 @@ from app.output import (
     to_json,
     write_text,
 )
-from controller.policy import PolicyError, load_policy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +52,12 @@ def run(options: ExportOptions) -> int:
     from sim.scene import robot_mjcf
 
     robot = find_robot(options.robot)
+    with as_bad_input(ExportError):
+        require_onnx()
     require_writable(options.out, option="--out", endings=(".onnx",))
     require_writable(options.mjcf, option="--mjcf", endings=(".xml",))
-    with as_bad_input(PolicyError, ExportError):
-        require_onnx()
-        policy = load_policy(robot, options.policy)
+    policy = find_policy(robot, options.policy)
+    with as_bad_input(ExportError):
         content = to_onnx(policy, robot, clip=options.clip).SerializeToString()
         with replacing(options.out) as temporary:
             temporary.write_bytes(content)

@@ -177,7 +177,8 @@ def run_draft(options: RobotDraftOptions) -> int:
 
     guessed: tuple[str, ...] = ()
     if options.file in robot_names():
-        document, model = document_of(find_robot(options.file))
+        with as_bad_input(ValueError):
+            document, model = document_of(find_robot(options.file))
         make_folder(options.out, option="--out")
         write_robot(options.out, document, model)
     else:

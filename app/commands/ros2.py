@@ -6,12 +6,12 @@ import contextlib
 from dataclasses import dataclass
 from typing import Annotated
 
+from app.controllers import load_walker
 from app.options import (
     OptionalFile,
     PlanningOptions,
     Pose,
     PoseOption,
-    load_walker,
     read_grid,
     text,
     whole_number,

@@ -130,13 +130,16 @@ def _points(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> FloatArray
         mesh = int(model.geom_dataid[geom])
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         local = np.asarray(model.mesh_vert[first : first + count], float)
-    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+    elif kind in (mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_ELLIPSOID):
         turns = np.linspace(0, math.pi, 9), np.linspace(0, 2 * math.pi, 17)
         across, around = (grid.ravel() for grid in np.meshgrid(*turns))
-        ball = size[0] * np.column_stack(
+        ball = np.column_stack(
             [np.sin(across) * np.cos(around), np.sin(across) * np.sin(around), np.cos(across)]
         )
-        local = np.concatenate([ball - np.array([0, 0, size[1]]), ball + np.array([0, 0, size[1]])])
+        local = ball * size
+        if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+            way = np.array([0, 0, size[1]])
+            local = np.concatenate([size[0] * ball - way, size[0] * ball + way])
     else:
         corners = np.array(np.meshgrid(*3 * [[-1.0, 1.0]])).reshape(3, -1).T
         local = corners * np.where(size > 0, size, size[0])

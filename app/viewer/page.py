@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from app.controllers import load_walker
 from app.navigation.live_navigator import Notice
 from app.navigation.planner_process import somewhere_to_stand
 from app.navigation.route import Waypoint
-from app.options import load_walker
 from app.viewer.access import Access
 from app.viewer.address import Addresses, Link, is_same
 from app.viewer.camera import Cameras

@@ -42,11 +42,11 @@ def get_robot(name: str) -> Robot:
 
 
 def _all_names() -> tuple[str, ...]:
-    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
+    return tuple(sorted(module.name.replace("_", "-") for module in pkgutil.iter_modules(__path__)))
 
 
 def _robot(name: str) -> Robot:
-    robot: Robot = importlib.import_module(f"{__name__}.{name}").ROBOT
+    robot: Robot = importlib.import_module(f"{__name__}.{name.replace('-', '_')}").ROBOT
     return robot
 
 
