@@ -15,6 +15,7 @@ from controller.policy import Policy
 from controller.randomization import DomainRandomization
 from controller.stairs import STAIR_MODES
 from controller.walker import Controller
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 
 if TYPE_CHECKING:
@@ -100,6 +101,7 @@ def assess_mode(
     tread_error_m: float = 0.0,
     joint_noise_deg: float = 0.0,
     step_s: float | None = None,
+    engine: Engine = MUJOCO,
 ) -> ModeResult:
     """Run `episodes` held-out episodes at once, of a policy without exploration.
 
@@ -118,6 +120,7 @@ def assess_mode(
         joint_noise_deg: amplitude of the uniform noise on joint positions; that on joint speeds
             is as in training (`DomainRandomization.joint_speed_noise_per_s`).
         step_s: duration of every step; None: that of the robot's gait.
+        engine: what simulates.
     """
     config = config or TaskConfig()
     noise = {"joint_noise_deg": joint_noise_deg, "tread_error_m": tread_error_m}
@@ -134,7 +137,14 @@ def assess_mode(
         disturbance_level=1.0 if any(value > 0 for value in noise.values()) else 0.0,
     )
     task = WalkTask(
-        robot, count=episodes, seed=seed, threads=threads, mode=mode, config=config, stage=stage
+        robot,
+        count=episodes,
+        seed=seed,
+        threads=threads,
+        mode=mode,
+        config=config,
+        stage=stage,
+        engine=engine,
     )
     return _run_episodes(task, controller)
 

@@ -23,6 +23,7 @@ from controller.step_sequences import MAX_STEPS, PlannedSteps, draw_sequence
 from controller.walker import Walker
 from planner.plan import wrap_angle
 from planner.robot_model import Interval
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 from sim.scene import build_scene
 
@@ -199,6 +200,7 @@ class WalkTask:
         count: int,
         seed: int,
         threads: int = 1,
+        engine: Engine = MUJOCO,
         mode: str | None = None,
         config: TaskConfig | None = None,
         stage: Stage | None = None,
@@ -217,6 +219,7 @@ class WalkTask:
             ),
             count=count,
             threads=threads,
+            engine=engine,
             capacity=MAX_STEPS,
         )
         self.ticks = np.zeros(count, dtype=np.int64)

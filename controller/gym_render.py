@@ -26,7 +26,7 @@ class RenderState:
     """State of all robots for drawing.
 
     `qpos` is (B, nq), `window` (B, 2, 4) the present and the next step in the world, `side` (B,)
-    the foot of the present one. `ground` is as `SimBatch.ground_pose` gives it.
+    the foot of the present one. `ground` is as `Simulation.ground_pose` gives it.
     """
 
     qpos: np.ndarray

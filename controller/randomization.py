@@ -16,7 +16,7 @@ from controller.observation import rotate_xy
 from controller.recovery import moved_within
 from controller.walker import Walker
 from planner.robot_model import Interval, Side
-from sim.batch import SimBatch
+from sim.simulation import Simulation
 
 PUSH_TICKS = 4
 
@@ -154,7 +154,7 @@ class Disturbances:
         off = rng.uniform() >= self.config.exact_tread_share
         return float(level * off * rng.uniform(*self.config.tread_error_m))
 
-    def randomize_models(self, rng: np.random.Generator, sim: SimBatch, level: float) -> None:
+    def randomize_models(self, rng: np.random.Generator, sim: Simulation, level: float) -> None:
         """Draw the model parameters of all simulations."""
         config, count = self.config, sim.count
 
@@ -168,7 +168,7 @@ class Disturbances:
             pelvis_com_m=level * rng.uniform(*config.pelvis_com_m, (count, 3)),
         )
 
-    def push(self, sim: SimBatch, ticks: np.ndarray) -> None:
+    def push(self, sim: Simulation, ticks: np.ndarray) -> None:
         """Apply the pushes that are due, `ticks` (B,) control steps into the episodes."""
         now = (ticks >= self._push_tick) & (ticks < self._push_tick + PUSH_TICKS)
         now &= self._push_n.any(axis=1)

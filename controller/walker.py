@@ -12,9 +12,10 @@ from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.leg_odometry import RobotState
 from controller.observation import observe
 from controller.step_cursor import StepCursor, StepSequence
-from sim.batch import SimBatch
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 from sim.scene import Scene
+from sim.simulation import Simulation
 
 
 class Controller(Protocol):
@@ -62,11 +63,13 @@ class Walker:
         threads: int = 1,
         capacity: int = 16,
         record: tuple[str, ...] = (),
+        engine: Engine = MUJOCO,
     ):
         self.scene = scene
         self.robot = scene.robot
+        self._engine = engine
         self._settings: dict[str, Any] = {"count": count, "threads": threads, "record": record}
-        self.sim = SimBatch(scene, control_period_s=CONTROL_PERIOD_S, **self._settings)
+        self.sim = self._simulate()
         self.cursor = StepCursor(GaitTicks.of(self.robot.gait), count, capacity)
         self.action = np.zeros((count, len(self.robot.joints)))
         self.failures = [""] * count
@@ -77,6 +80,10 @@ class Walker:
         self.latency_ticks = np.zeros(count)
         self.estimated: RobotState | None = None
         self._sent = np.zeros((count, len(self.robot.joints)))
+
+    def _simulate(self) -> Simulation:
+        settings = self._settings
+        return self._engine.simulate(self.scene, control_period_s=CONTROL_PERIOD_S, **settings)
 
     def place(self, row: int, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:
         """Put robot `row` into a state and forget its last action."""
@@ -90,7 +97,7 @@ class Walker:
         """Go on in the same state in another scene of the robot, such as one with more walls."""
         before = self.sim
         self.scene = scene
-        self.sim = SimBatch(scene, control_period_s=CONTROL_PERIOD_S, **self._settings)
+        self.sim = self._simulate()
         self.sim.reset(np.arange(before.count), before.qpos, before.qvel)
         self.sim.sensors[:] = before.sensors
 
@@ -133,7 +140,7 @@ class Walker:
         """Advance one control step in equal parts, then the gait clock.
 
         The joint targets (B, J) of each part come from the sensors before it: see
-        `SimBatch.step_in_parts`. Returns the same as `act`.
+        `Simulation.step_in_parts`. Returns the same as `act`.
         """
         self.sim.step_in_parts(parts, targets_rad)
         return self.cursor.advance()

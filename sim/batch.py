@@ -9,6 +9,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from sim.scene import Scene
+from sim.simulation import physics_steps, steps_of_part
 from sim.terrain import Ground, GroundBatch
 
 
@@ -72,13 +73,7 @@ _BAD_STATE = [
 
 
 class SimBatch:
-    """B simulations of a scene under joint position targets.
-
-    `qpos` (B, nq) and `qvel` (B, nv) are live views of the states: writing them sets the
-    states. `sensors` (B, S, nsensordata) holds every sensor at each of the S physics steps of
-    the last `step()`. `failed` (B,) marks the simulations whose last step raised in MuJoCo or
-    left a state that is not finite; they must be reset. `recorded` holds the fields of `record`.
-    """
+    """B simulations of a scene in MuJoCo, a `Simulation`."""
 
     def __init__(
         self,
@@ -102,13 +97,7 @@ class SimBatch:
         Raises:
             ValueError: the control period is not a whole number of physics steps.
         """
-        timestep_s = scene.model.opt.timestep
-        substeps = round(control_period_s / timestep_s)
-        if substeps < 1 or abs(substeps * timestep_s - control_period_s) > 1e-9:
-            raise ValueError(
-                f"control period {control_period_s} s is not a whole number of physics steps "
-                f"of {timestep_s} s"
-            )
+        substeps = physics_steps(control_period_s, scene.model.opt.timestep)
         if mujoco.get_mju_user_warning() is None:
             mujoco.set_mju_user_warning(_leave_unsaid)
         self.scene = scene
@@ -118,7 +107,10 @@ class SimBatch:
         self.qpos = self._batch.bind("qpos")
         self.qvel = self._batch.bind("qvel")
         self._ctrl = self._batch.bind("ctrl")
-        self._ground = GroundBatch(scene.model, self._batch) if scene.has_treads else None
+        self._ground: GroundBatch | None = None
+        if scene.has_treads:
+            poses = self._batch.bind("mocap_pos"), self._batch.bind("mocap_quat")
+            self._ground = GroundBatch(scene.model, *poses)
         self._pushes: np.ndarray | None = None
         self._pelvis = scene.model.body("pelvis").id
         self.sensors = np.zeros((count, substeps, scene.model.nsensordata))
@@ -175,9 +167,7 @@ class SimBatch:
         Raises:
             ValueError: the physics steps of a control period do not divide into so many parts.
         """
-        if parts < 1 or self.substeps % parts:
-            raise ValueError(f"{self.substeps} physics steps do not divide into {parts} parts")
-        size = self.substeps // parts
+        size = steps_of_part(self.substeps, parts)
         self.failed[:] = False
         latest = self.sensors[:, -1].copy()
         written: list[dict[str, np.ndarray]] = []

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
 from maps.boxes import Terraces
 from sim.robot import GROUND_PREFIX, SURROUNDINGS_BITS
@@ -60,9 +59,9 @@ def add_treads(spec: mujoco.MjSpec) -> None:
 class GroundBatch:
     """The ground of each of B simulations of a scene that has treads."""
 
-    def __init__(self, model: mujoco.MjModel, batch: Batch):
-        self._position = batch.bind("mocap_pos")
-        self._quaternion = batch.bind("mocap_quat")
+    def __init__(self, model: mujoco.MjModel, position: np.ndarray, quaternion: np.ndarray):
+        """Over the arrays (B, n, 3) and (B, n, 4) that hold the poses of the mocap bodies."""
+        self._position, self._quaternion = position, quaternion
 
         def mocap(name: str) -> int:
             return int(model.body(name).mocapid[0])

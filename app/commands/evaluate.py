@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from app.cluster import ClusterOption, connected, on_cluster
 from app.controllers import CONTROLLERS, ControllerOption, find_policy, load_controlled
+from app.engines import EngineOptions, load_engine
 from app.navigation.report import installed_versions
 from app.options import (
     CountOption,
@@ -46,11 +47,19 @@ TABLES = ("modes", "stairs", "push", "energy", "pace")
 # With fewer walks 99 % and 97 % are told apart by chance only.
 ENOUGH_EPISODES = 100
 # What of another evaluation is shown; the rest stays in its own report.
-SHOWN_BESIDE = ("policy_sha256", "controller", "trained", "episodes", "seed", *SECTION_NAMES[:-1])
+SHOWN_BESIDE = (
+    "policy_sha256",
+    "controller",
+    "engine",
+    "trained",
+    "episodes",
+    "seed",
+    *SECTION_NAMES[:-1],
+)
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateOptions(RobotOptions):
+class EvaluateOptions(EngineOptions, RobotOptions):
     """Measure how well a controller walks, and write one report with figures.
 
     Sections: falls and foot errors of every mode (modes), stairs with noise on treads and joints
@@ -99,6 +108,7 @@ def run(options: EvaluateOptions) -> int:
     other = other_of(options)
     # What is wrong with one of them is said before anything is measured.
     measured = [load_measured(each) for each in (options, other) if each is not None]
+    load_engine(options, measured[0][0])
     beside: dict[str, Any] | None = None
     if other is None and options.beside is not None:
         beside = read_beside(options.beside, measured[0][0].name)
@@ -151,6 +161,7 @@ def evaluated(
         controller=controller,
         episodes=options.episodes,
         seed=options.seed,
+        engine=load_engine(options, robot),
         threads=options.workers or (1 if options.cluster else os.cpu_count()) or 1,
     )
     parts = parts_of(setup)
@@ -227,6 +238,9 @@ def store_limits(
         return None
     if options.controller != "policy":
         say(f"limits of {options.controller} are not stored: it plans with the robot's file")
+        return None
+    if setup.engine.about is not None:
+        say(f"limits in {options.engine} are not stored: plans keep to those in mujoco")
         return None
     path = tracking_limits_path(options.policy, setup.robot)
     if setup.episodes < ENOUGH_EPISODES:

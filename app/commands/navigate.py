@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from app.controllers import ControllerOption, load_controlled
+from app.engines import EngineOptions, load_engine
 from app.navigation.report import NavigationReport, Outcome, PolicyFile
 from app.options import (
     FolderOption,
@@ -46,6 +47,7 @@ from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan
+from sim.engines import Engine
 from sim.gl import NoGlError, prepare_gl, switch_gl_off
 from sim.robot import Robot
 
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NavigateOptions(PlanningOptions, GoalOptions, SensingOptions):
+class NavigateOptions(EngineOptions, PlanningOptions, GoalOptions, SensingOptions):
     """Plan footsteps to the goal, walk them in MuJoCo with the trained policy, and report.
 
     The robot plans again when a foot lands too far from its step. The exit code is 0 when the
@@ -140,12 +142,15 @@ def run(options: NavigateOptions) -> int:
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
     by_model = options.controller == "lipm"
+    engine = load_engine(options, robot)
     # Before the walk and not after it.
     make_folder(options.out, option="--out")
     require_writable(options.html, option="--html", endings=(".html", ".htm"))
     require_writable(options.video, option="--video", endings=(".mp4",))
     require_writable(options.strip, option="--strip", endings=PICTURE_ENDINGS)
     require_writable(options.gait_strip, option="--gait-strip", endings=PICTURE_ENDINGS)
+    if options.view and options.engine != "mujoco":
+        raise InputError(f"--view shows walks in mujoco: leave out --engine {options.engine}")
     if options.view and (options.record or options.bag):
         raise InputError("--record and --bag write a walk that nobody steers: leave out --view")
     require_recordable(options.record, options.bag)
@@ -157,7 +162,7 @@ def run(options: NavigateOptions) -> int:
             options = dataclasses.replace(options, goal=Pose(*navigator.goal))
             recorder = None
         else:
-            navigator, recorder = walked(options, grid, robot, policy, stack)
+            navigator, recorder = walked(options, grid, robot, policy, engine, stack)
         plan = dataclasses.replace(
             navigator.plans[0],
             robot=robot.name,
@@ -189,6 +194,7 @@ def walked(
     grid: OccupancyGrid,
     robot: Robot,
     policy: Controller,
+    engine: Engine,
     stack: ExitStack,
 ) -> tuple[Navigator, Recorder | None]:
     """A walk from plan to end, showing how many steps are done, and what records it.
@@ -209,6 +215,7 @@ def walked(
             pace=options.pace,
             push_n_s=options.push,
             sensing=options.sensing(),
+            engine=engine,
         ),
     )
     recorder = stack.enter_context(recording(navigator, record=options.record, bag=options.bag))

@@ -15,6 +15,7 @@ import numpy as np
 
 from app.cluster import ClusterOption
 from app.controllers import ControllerOption, load_controlled
+from app.engines import EngineOptions, load_engine
 from app.evaluation.trials_summary import summarise, table
 from app.navigation.report import Outcome, installed_versions
 from app.options import (
@@ -53,7 +54,7 @@ DRAWS_PER_POSE = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialsOptions(PlanningOptions, SensingOptions):
+class TrialsOptions(EngineOptions, PlanningOptions, SensingOptions):
     """Walk between many random pairs of free poses on a map, and print how it went.
 
     Start and goal are drawn from all poses at which the robot can stand; the same seed gives
@@ -113,9 +114,10 @@ def run(options: TrialsOptions) -> int:
     options.sensing()
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
+    engine = load_engine(options, robot)
     claim_folder(options.out, option="--out")
     require_recordable(options.record, None)
-    file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy)
+    file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy, engine.about)
     results = finished(file, settings)[: options.count] if options.resume else []
     trials = draw_trials(grid, options)
     compile_planner(robot.step_model, options.planner_options())  # once, not in every worker
@@ -158,7 +160,11 @@ def run(options: TrialsOptions) -> int:
 
 
 def settings_of(
-    options: TrialsOptions, grid: OccupancyGrid, robot: Robot, policy: Controller
+    options: TrialsOptions,
+    grid: OccupancyGrid,
+    robot: Robot,
+    policy: Controller,
+    engine: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
     """All that the walks depend on, but for how many there are."""
     sensing = options.sensing()
@@ -177,6 +183,7 @@ def settings_of(
         "pace": options.pace,
         "push_n_s": options.push,
         "sensing": sensing and asdict(sensing),
+        "engine": engine,
     }
 
 
@@ -281,6 +288,7 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
             pace=options.pace,
             push_n_s=options.push,
             sensing=options.sensing(),
+            engine=load_engine(options, robot),
         ),
     )
     file = options.record and options.record.with_stem(f"{options.record.stem}-{trial.number}")

@@ -38,11 +38,13 @@ def beside_rows(document: Document, section: str, *keys: str) -> list[dict[str, 
 
 
 def who(document: Document) -> str:
-    """Which controller was measured, in words."""
+    """Which controller was measured, in words, and in which engine if not in MuJoCo."""
+    engine = document.get("engine")
+    where = f" in {engine['name']} {engine['version']}" if engine else ""
     if not document.get("controller"):
-        return f"policy {document['policy_sha256'][:12]}"
+        return f"policy {document['policy_sha256'][:12]}{where}"
     told = document["controller"]
-    return f"controller {told['name']} ({told['rate_hz']} Hz; {told['state']})"
+    return f"controller {told['name']} ({told['rate_hz']} Hz; {told['state']}){where}"
 
 
 def has(document: Document, section: str) -> bool:

@@ -20,6 +20,7 @@ from controller.lipm.servos import report_of
 from controller.policy import Policy
 from controller.walker import Controller
 from maps.files import read_json
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 
 FORMAT = "evaluation-part/3"
@@ -36,13 +37,15 @@ class EvaluationSetup:
     episodes: int
     seed: int
     threads: int = os.cpu_count() or 1
+    engine: Engine = MUJOCO
 
     @property
     def who(self) -> dict[str, Any]:
-        """What tells the controller from all others."""
+        """What tells the controller, and the engine it is measured in, from all others."""
+        engine = {} if self.engine.about is None else {"engine": self.engine.about}
         if isinstance(self.controller, Policy):
-            return {"policy_sha256": self.controller.about["sha256"]}
-        return {"policy_sha256": None, "controller": report_of(self.robot)}
+            return {"policy_sha256": self.controller.about["sha256"], **engine}
+        return {"policy_sha256": None, "controller": report_of(self.robot), **engine}
 
     @property
     def trained(self) -> Any:
@@ -55,7 +58,12 @@ class EvaluationSetup:
 
     def draws(self, count: int) -> dict[str, Any]:
         """Arguments of the rollouts of so many robots."""
-        return {"count": count, "seed": self.seed, "threads": self.threads}
+        return {
+            "count": count,
+            "seed": self.seed,
+            "threads": self.threads,
+            "engine": self.engine,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,6 +60,7 @@ def _assess(
                 episodes=min(AT_ONCE, episodes - first),
                 seed=setup.seed + 1000 * number,
                 threads=setup.threads,
+                engine=setup.engine,
                 config=at_navigation_rate(),
                 **settings,
             )

@@ -32,6 +32,7 @@ from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, Pose, finite_pose, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 from sim.scene import min_clearance_m, scene_of
 
@@ -44,10 +45,10 @@ _MOVE_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class NavigatorConfig:
-    """When to plan again, when to give up, the `pace` of the steps, one of `PACES`, and pushes.
+    """When to plan again, when to give up, the `pace` of the steps, pushes, and the engine.
 
-    The pelvis is pushed by `push_n_s` over 0.1 s in a direction drawn anew, every 3 to 5 s. With
-    `sensing` the robot knows no more than it measures.
+    `pace` is one of `PACES`. The pelvis is pushed by `push_n_s` over 0.1 s in a direction drawn
+    anew, every 3 to 5 s. With `sensing` the robot knows no more than it measures.
     """
 
     replan_error_m: float = 0.06
@@ -63,6 +64,7 @@ class NavigatorConfig:
     pace: str = "normal"
     push_n_s: float = 0.0
     sensing: SensingConfig | None = None
+    engine: Engine = MUJOCO
     planner: PlannerOptions = field(default_factory=PlannerOptions)
 
 
@@ -92,7 +94,7 @@ class Navigator:
         self.start, self.goal, self.seed = tuple(start), tuple(goal), seed
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
-        self.walker = Walker(self.scene, threads=1, record=("qvel",))
+        self.walker = Walker(self.scene, threads=1, record=("qvel",), engine=self.config.engine)
         self._act = policy.start(self.walker)
         self.gait = GaitRecorder(self.walker)
         self._footing = Footing(grid, robot.step_model, unknown_is_free)
@@ -203,6 +205,7 @@ class Navigator:
             controller=None
             if isinstance(self.policy, Policy)
             else {**report_of(self.robot), "relaxed": self.walker.relaxed[0]},
+            engine=self.config.engine.about,
             gait=self.gait.summary(),
             sensed=None if self.sensing is None else self.sensing.summary(),
             narrow_place=self.plans[-1].narrow_place if self.plans else None,

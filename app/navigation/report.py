@@ -26,7 +26,7 @@ PACKAGES = ("mujoco", "numpy", "numba")
 # Left out where a walk is too short to have a gait, or no place too narrow; older reports do not
 # have the others.
 _OPTIONAL = frozenset(
-    ("compile_time_s", "controller", "gait", "narrow_place", "recovery_steps", "sensed")
+    ("compile_time_s", "controller", "engine", "gait", "narrow_place", "recovery_steps", "sensed")
 )
 PoseTuple = tuple[float, float, float]
 
@@ -111,7 +111,8 @@ class NavigationReport:
     `recovery_steps` were moved or hastened against a push. `compile_time_s` is how long plans
     waited for the compiler, which is not part of `planning_time_s`. `controller` tells of one that
     is no policy: its name, rate and servo gains, and how often each stage dropped its constraints.
-    `sensed` tells how well a robot that goes by its sensors knew where it was.
+    `sensed` tells how well a robot that goes by its sensors knew where it was, `engine` of a physics
+    engine other than MuJoCo: its name, version and contact model.
     """
 
     outcome: Outcome
@@ -135,6 +136,7 @@ class NavigationReport:
     seed: int
     policy: PolicyFile | None = None
     controller: Mapping[str, Any] | None = None
+    engine: Mapping[str, Any] | None = None
     gait: GaitSummary | None = None
     narrow_place: NarrowPlace | None = None
     sensed: SensedSummary | None = None

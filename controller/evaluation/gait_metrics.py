@@ -20,6 +20,7 @@ from controller.evaluation.rollouts import LONGEST_WAIT_TICKS, chained, start_wa
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.walker import Controller, Walker
 from planner.robot_model import Side
+from sim.engines import MUJOCO, Engine
 from sim.robot import GRAVITY_M_S2, Robot
 
 Step = tuple[float, float, float]
@@ -79,6 +80,7 @@ def record_walk(
     count: int,
     seed: int,
     threads: int = 1,
+    engine: Engine = MUJOCO,
 ) -> WalkRecord:
     """`count` robots that repeat one step for 10 s, half of them beginning with the left foot.
 
@@ -89,7 +91,7 @@ def record_walk(
     relative = repeat_step(
         step, robot.step_model.stance_width_m, int(RECORDED_S / robot.gait.step_s) + 2
     )
-    walker = _start(robot, relative, count, seed, threads)
+    walker = _start(robot, relative, count, seed, threads, engine)
     sensors, joints = walker.scene.sensors, walker.scene.joint_qvel
     torque, speed, force, indicator, cycle_tick, pelvis = [], [], [], [], [], []
     upright = np.ones(count, dtype=bool)
@@ -124,6 +126,7 @@ def walk_and_stand(
     seconds: float = RECORDED_S,
     rest_s: float = 2.0,
     threads: int = 1,
+    engine: Engine = MUJOCO,
 ) -> GaitSummary | None:
     """The gait of `count` robots that repeat one step, set their feet side by side and stand.
 
@@ -133,7 +136,7 @@ def walk_and_stand(
     width_m = robot.step_model.stance_width_m
     steps = int(seconds / robot.gait.step_s)
     relative = np.vstack([repeat_step(step, width_m, steps), (0.0, width_m, 0.0)])
-    walker = _start(robot, relative, count, seed, threads)
+    walker = _start(robot, relative, count, seed, threads, engine)
     longest_s = LONGEST_WAIT_TICKS * CONTROL_PERIOD_S + (steps + 2) * robot.gait.step_s + rest_s
     recorders = [GaitRecorder(walker, row) for row in range(count)]
     upright, cursor = np.ones(count, dtype=bool), walker.cursor
@@ -151,7 +154,9 @@ def walk_and_stand(
     return summary_of([recorders[row] for row in np.flatnonzero(upright)])
 
 
-def _start(robot: Robot, relative: np.ndarray, count: int, seed: int, threads: int) -> Walker:
+def _start(
+    robot: Robot, relative: np.ndarray, count: int, seed: int, threads: int, engine: Engine
+) -> Walker:
     """Robots that take these steps (n, 3), every other one with the left foot first."""
     return start_walks(
         robot,
@@ -159,6 +164,7 @@ def _start(robot: Robot, relative: np.ndarray, count: int, seed: int, threads: i
         count=count,
         seed=seed,
         threads=threads,
+        engine=engine,
         record=("qvel",),
     )
 

@@ -14,6 +14,7 @@ from controller.gait import CONTROL_PERIOD_S
 from controller.recovery import SHORTEST_SWING_S, change_steps, step_change
 from controller.step_cursor import StepSequence
 from controller.walker import Controller
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 
 # In the frame of the walk: x forward, y left.
@@ -63,6 +64,7 @@ def push_recovery(
     count: int,
     seed: int,
     threads: int = 1,
+    engine: Engine = MUJOCO,
     moves_steps: bool = True,
 ) -> list[float]:
     """Share of `count` robots that are upright at the end, per impulse.
@@ -84,7 +86,9 @@ def push_recovery(
     stayed = []
     for rows, part_seed in portions(len(pushes), seed):
         part = [pushes[row] for row in rows]
-        stayed.append(_walk_pushed(robot, controller, part, part_seed, threads, moves_steps))
+        stayed.append(
+            _walk_pushed(robot, controller, part, part_seed, threads, engine, moves_steps)
+        )
     shares = np.concatenate(stayed).reshape(len(impulses_ns), count).mean(axis=1)
     return [float(share) for share in shares]
 
@@ -95,6 +99,7 @@ def _walk_pushed(
     pushes: Sequence[Push],
     seed: np.random.SeedSequence,
     threads: int,
+    engine: Engine,
     moves_steps: bool,
 ) -> np.ndarray:
     """Which robots (B,) are upright at the end of the walk."""
@@ -107,7 +112,7 @@ def _walk_pushed(
         relative = np.tile((length_m, width_m, 0.0), (steps, 1))
         return chained(feet, int(rng.integers(2)), relative)
 
-    walker = start_walks(robot, draw, count=len(pushes), seed=seed, threads=threads)
+    walker = start_walks(robot, draw, count=len(pushes), seed=seed, threads=threads, engine=engine)
     still = (0.0, 0.0, 0.0)
     upright = np.ones(len(pushes), dtype=bool)
     for tick in walk(walker, controller, round(PUSH_WALK_S / CONTROL_PERIOD_S)):

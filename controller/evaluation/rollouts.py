@@ -15,6 +15,7 @@ from controller.step_cursor import StepSequence
 from controller.step_sequences import chain_steps
 from controller.walker import Controller, Walker
 from planner.robot_model import Side
+from sim.engines import MUJOCO, Engine
 from sim.robot import Robot
 from sim.scene import build_scene
 
@@ -59,11 +60,12 @@ def start_walks(
     count: int,
     seed: int | np.random.SeedSequence,
     threads: int = 1,
+    engine: Engine = MUJOCO,
     record: tuple[str, ...] = (),
 ) -> Walker:
     """`count` robots near half-sitting, each before its own sequence."""
     scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
-    walker = Walker(scene, count=count, threads=threads, record=record)
+    walker = Walker(scene, count=count, threads=threads, record=record, engine=engine)
     feet = scene.soles_at(scene.standing_qpos)
     rng = np.random.default_rng(seed)
     for row in range(count):

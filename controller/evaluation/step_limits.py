@@ -19,6 +19,7 @@ from controller.step_sequences import clip_to_limits
 from controller.walker import Controller
 from planner.plan import pair_pose, wrap_angle
 from planner.robot_model import BodyShape, StepLimits, StepModel
+from sim.engines import MUJOCO, Engine
 from sim.robot import PHYSICS_GROUP, Robot
 from sim.scene import Scene
 
@@ -128,6 +129,7 @@ def walk_steps(
     count: int,
     seed: int,
     threads: int = 1,
+    engine: Engine = MUJOCO,
     falls_at_most: int | None = None,
 ) -> StepWalks:
     """Let `count` robots walk steps that are drawn anew for each.
@@ -136,7 +138,7 @@ def walk_steps(
     """
     parts: list[StepWalks] = []
     for rows, part_seed in portions(count, seed):
-        parts.append(_walk_portion(robot, controller, draw_steps, rows, part_seed, threads))
+        parts.append(_walk_portion(robot, controller, draw_steps, rows, part_seed, threads, engine))
         falls = sum(int((~part.upright).sum()) for part in parts)
         if falls_at_most is not None and falls > falls_at_most:
             break
@@ -151,6 +153,7 @@ def _walk_portion(
     rows: range,
     seed: np.random.SeedSequence,
     threads: int,
+    engine: Engine,
 ) -> StepWalks:
     steps = int(LIMITS_WALK_S / robot.gait.step_s) + 2
     counting = np.zeros((len(rows), steps), dtype=bool)
@@ -159,7 +162,7 @@ def _walk_portion(
         relative, counting[row] = draw_steps(rng, steps, rows[row])
         return chained(feet, int(rng.integers(2)), relative)
 
-    walker = start_walks(robot, draw, count=len(rows), seed=seed, threads=threads)
+    walker = start_walks(robot, draw, count=len(rows), seed=seed, threads=threads, engine=engine)
     upright = np.ones(len(rows), dtype=bool)
     who, error_m, heading = [], [], []
     for tick in walk(walker, controller, round(LIMITS_WALK_S / CONTROL_PERIOD_S)):
@@ -186,6 +189,7 @@ def step_map(
     count: int,
     seed: int,
     threads: int = 1,
+    engine: Engine = MUJOCO,
 ) -> list[dict[str, float | None]]:
     """Success and 95th percentile of the foot error of each kind of step (K, 3).
 
@@ -201,7 +205,7 @@ def step_map(
         return relative, this
 
     walks = walk_steps(
-        robot, controller, draw, count=len(kinds) * count, seed=seed, threads=threads
+        robot, controller, draw, count=len(kinds) * count, seed=seed, threads=threads, engine=engine
     )
     success = walks.upright.reshape(len(kinds), count).mean(axis=1)
     found: list[dict[str, float | None]] = []
@@ -228,6 +232,7 @@ def walk_within(
     count: int,
     seed: int,
     threads: int = 1,
+    engine: Engine = MUJOCO,
     falls_at_most: int | None = None,
 ) -> tuple[StepWalks, LimitTrial]:
     """Walks within limits, and their falls at each corner of the limits.
@@ -264,6 +269,7 @@ def walk_within(
         count=count,
         seed=seed,
         threads=threads,
+        engine=engine,
         falls_at_most=falls_at_most,
     )
     done = touched[: len(walks.upright)]
