@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -49,7 +49,7 @@ class Simulation(Protocol):
     qpos: np.ndarray
     qvel: np.ndarray
     sensors: np.ndarray
-    recorded: Mapping[str, np.ndarray]
+    recorded: dict[str, np.ndarray]
     failed: np.ndarray
 
     def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray | None = None) -> None:

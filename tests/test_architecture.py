@@ -41,6 +41,7 @@ PLANNER_ROOMS = {
 # Heavy library -> packages that may import it at all.
 MAY_LOAD = {
     "mujoco": ("sim", "controller", "app"),
+    "pydrake": ("sim",),
     "torch": ("controller", "app"),
     "rsl_rl": ("controller", "app"),
     "gymnasium": ("controller",),

@@ -111,8 +111,8 @@ class NavigationReport:
     `recovery_steps` were moved or hastened against a push. `compile_time_s` is how long plans
     waited for the compiler, which is not part of `planning_time_s`. `controller` tells of one that
     is no policy: its name, rate and servo gains, and how often each stage dropped its constraints.
-    `sensed` tells how well a robot that goes by its sensors knew where it was, `engine` of a physics
-    engine other than MuJoCo: its name, version and contact model.
+    `sensed` tells how well a robot that goes by its sensors knew where it was. `engine` is the one
+    that simulated, if not MuJoCo: name, version and contact model.
     """
 
     outcome: Outcome

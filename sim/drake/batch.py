@@ -149,11 +149,10 @@ class DrakeBatch:
         """Run some of the physics steps of a control period."""
 
         def run(row: int) -> None:
-            if not self.failed[row]:
-                self.failed[row] = not self._run(row, steps, targets_rad[row])
+            self.failed[row] = not self._run(row, steps, targets_rad[row])
 
-        each = map if self._pool is None else self._pool.map
-        for _ in each(run, range(self.count)):
+        rows = np.flatnonzero(~self.failed).tolist()
+        for _ in map(run, rows) if self._pool is None else self._pool.map(run, rows):
             pass
 
     def _run(self, row: int, steps: range, targets_rad: np.ndarray) -> bool:

@@ -55,6 +55,8 @@ from sim.scene import Scene
 
 # A warning that half-spaces touch no deformable bodies, of which there are none.
 logging.getLogger("drake").setLevel(logging.ERROR)
+# Extents of a floor that can be moved.
+_SLAB_M = (200.0, 200.0, 2.0)
 # Drake asks for it also of boxes, whose meshes do not depend on it.
 _MESH_M = 1.0
 _KINDS, _GEOMS = mujoco.mjtJoint, mujoco.mjtGeom
@@ -140,7 +142,8 @@ def require_known(model: mujoco.MjModel) -> None:
         raise EngineError(f"--engine drake holds no {what}: walk this robot with --engine mujoco")
     for joint in range(model.njnt):
         kind = _KINDS(model.jnt_type[joint])
-        if kind == _KINDS.mjJNT_BALL or model.jnt_stiffness[joint]:
+        springs = model.jnt_stiffness[joint], *model.jnt_stiffnesspoly[joint]
+        if kind == _KINDS.mjJNT_BALL or any(springs):
             what = "ball joint" if kind == _KINDS.mjJNT_BALL else "sprung joint"
             raise EngineError(
                 f"--engine drake holds no {what} such as {model.joint(joint).name}: walk this "
@@ -281,6 +284,9 @@ def _add_geom(
     if body not in bodies:
         pose, body = _world_pose(model, body) @ pose, 0
     shape = _shape(model, geom)
+    if isinstance(shape, HalfSpace) and body:
+        # Drake's broad phase ends the process when what moves has no bounds.
+        shape, pose = Box(*_SLAB_M), pose @ RigidTransform([0.0, 0.0, -_SLAB_M[2] / 2])
     return plant.RegisterCollisionGeometry(
         bodies[body], pose, shape, f"geom_{geom}", _properties(model, geom, contact)
     )
