@@ -286,6 +286,8 @@ def test_what_drake_cannot_hold_is_named(jvrc1):
     sim = DRAKE.simulate(jvrc1, count=1, control_period_s=CONTROL_PERIOD_S)
     with pytest.raises(EngineError, match="holds no variation of friction"):
         sim.variation()
+    with pytest.raises(InputError, match="holds no closed loops and couplings"):
+        load_engine(EngineOptions(engine="drake"), get_robot("cassie"))
     robot = jvrc1.robot
 
     def sprung():

@@ -138,7 +138,7 @@ def require_known(model: mujoco.MjModel) -> None:
         EngineError: it cannot; the message names what.
     """
     if model.neq or model.ntendon:
-        what = "closed loops" if model.neq else "tendons"
+        what = "closed loops and couplings of joints" if model.neq else "tendons"
         raise EngineError(f"--engine drake holds no {what}: walk this robot with --engine mujoco")
     for joint in range(model.njnt):
         kind = _KINDS(model.jnt_type[joint])
