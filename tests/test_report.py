@@ -85,8 +85,9 @@ SENSED = SensedSummary(
     own_foot_error_m={"median": 0.01, "p95": 0.02, "max": 0.03},
     localization_error_m=None,
 )
+ENGINE = {"name": "drake", "version": "1.51.1", "contact": {"approximation": "sap"}}
 WITH_ALL = dataclasses.replace(
-    REPORT, gait=GAIT, narrow_place=PLACE, controller=BY_MODEL, sensed=SENSED
+    REPORT, gait=GAIT, narrow_place=PLACE, controller=BY_MODEL, sensed=SENSED, engine=ENGINE
 )
 
 
@@ -94,7 +95,8 @@ def test_every_field_is_in_the_document():
     fields = {field.name for field in dataclasses.fields(NavigationReport)}
     assert set(json.loads(WITH_ALL.to_json())) == fields | {"format"}
     without = set(json.loads(REPORT.to_json()))
-    assert without == (fields | {"format"}) - {"controller", "gait", "narrow_place", "sensed"}
+    left_out = {"controller", "engine", "gait", "narrow_place", "sensed"}
+    assert without == (fields | {"format"}) - left_out
 
 
 @pytest.mark.parametrize(
