@@ -7,6 +7,7 @@ from typing import Annotated
 
 from app.options import choice, number
 from app.output import InputError, as_bad_input
+from controller.gait import CONTROL_PERIOD_S
 from sim.drake.contact_model import APPROXIMATIONS, ContactModel, EngineError
 from sim.engines import MUJOCO, DrakeEngine, Engine
 from sim.robot import Robot
@@ -70,6 +71,11 @@ def load_engine(options: EngineOptions, robot: Robot) -> Engine:
         # They are heavy, and only this needs them.
         from sim.drake.plant import require_known
         from sim.scene import PHYSICS_TIMESTEP_S, build_scene
+        from sim.simulation import physics_steps
 
+        try:
+            physics_steps(CONTROL_PERIOD_S, options.contact_time_step)
+        except ValueError as error:
+            raise InputError(f"--contact-time-step: {error}") from None
         require_known(build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S).model)
         return engine

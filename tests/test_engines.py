@@ -24,7 +24,7 @@ from tests.programs import ROOM, refusal
 
 pytest.importorskip("pydrake", reason="it comes with the extra `drake`")
 
-from sim.drake.batch import DrakeBatch
+from sim.drake.batch import StateLayout
 from sim.drake.plant import plant_of, require_known
 
 DRAKE = DrakeEngine()
@@ -58,8 +58,7 @@ def turned(scene, rng):
 
 def test_mass_matrices_are_the_same(scene):
     parts = plant_of(scene, ContactModel())
-    batch = DrakeBatch(scene, count=1, control_period_s=CONTROL_PERIOD_S)
-    layout = batch._simulations[0]._layout
+    layout = StateLayout(scene.model, parts)
     qpos, qvel = turned(scene, np.random.default_rng(2))
     context = parts.plant.CreateDefaultContext()
     parts.plant.SetPositionsAndVelocities(context, layout.to_drake(qpos, qvel))
@@ -316,6 +315,10 @@ def test_options_of_drake_are_refused_with_mujoco():
         (
             ("--contact", "sap", "--contact-friction", "0.5"),
             "--contact-friction goes with",
+        ),
+        (
+            ("--engine", "drake", "--contact-time-step", "0.003"),
+            "--contact-time-step: control period 0.025 s is not a whole number of physics steps",
         ),
         (("--engine", "drake", "--view"), "--view shows walks in mujoco: leave out --engine drake"),
     ],

@@ -73,8 +73,8 @@ class DrakeBatch:
         self._ground = GroundBatch(model, *self._poses) if scene.has_treads else None
         # Drake's steps may be longer or shorter than the scene's, at which is read and recorded.
         at = np.arange(self.substeps + 1) * model.opt.timestep / contact.timestep_s
-        self._step_after = np.floor(at[:-1] + 1e-6).astype(int)
-        self._step_before = np.ceil(at[1:] - 1e-6).astype(int) - 1
+        self._read_at = np.floor(at[:-1] + 1e-6).astype(int)
+        self._recorded_at = np.ceil(at[1:] - 1e-6).astype(int) - 1
         self._read = np.zeros((count, self._steps, model.nsensordata))
         self._states = np.zeros((count, self._steps, model.nq + model.nv))
         parts = plant_of(scene, contact)
@@ -140,8 +140,8 @@ class DrakeBatch:
         for first in range(0, self._steps, size):
             self._advance(range(first, first + size), np.asarray(targets_rad(latest), float))
             latest = self._read[:, first + size - 1].copy()
-        self.sensors[:] = self._read[:, self._step_after]
-        states, nq = self._states[:, self._step_before], self.qpos.shape[1]
+        self.sensors[:] = self._read[:, self._read_at]
+        states, nq = self._states[:, self._recorded_at], self.qpos.shape[1]
         told = {"qpos": states[..., :nq], "qvel": states[..., nq:]}
         self.recorded = {name: told[name] for name in self._record}
 
@@ -180,12 +180,11 @@ class DrakeSimulation:
     def __init__(self, scene: Scene, parts: ScenePlant):
         model = scene.model
         self._scene, self._parts = scene, parts
-        root = parts.diagram.CreateDefaultContext()
-        self._context = parts.plant.GetMyMutableContextFromRoot(root)
-        self._simulator = Simulator(parts.diagram, root)
-        self._simulator.Initialize()
-        self._steps = 0
-        self._layout = _Layout(model, parts)
+        self._root = parts.diagram.CreateDefaultContext()
+        self._context = parts.plant.GetMyMutableContextFromRoot(self._root)
+        self._simulator = Simulator(parts.diagram, self._root)
+        self._start_clock()
+        self._layout = StateLayout(model, parts)
         self._reader = ContactReader(scene, parts)
         self._data = mujoco.MjData(model)
         self._pelvis = model.body("pelvis").id
@@ -234,10 +233,19 @@ class DrakeSimulation:
         )
         plant.SetPositionsAndVelocities(self._context, self._layout.to_drake(qpos, qvel))
         self._steps += 1
-        self._simulator.AdvanceTo(self._steps * plant.time_step(), interruptible=False)
+        try:
+            self._simulator.AdvanceTo(self._steps * plant.time_step(), interruptible=False)
+        except RuntimeError:
+            self._start_clock()
+            raise
         self._reader.read(self._contacts.Eval(self._context), sensordata)
         sensordata[scene.sensors.joint_torque] = torque_nm
         return self._layout.to_mujoco(plant.GetPositionsAndVelocities(self._context))
+
+    def _start_clock(self) -> None:
+        self._root.SetTime(0.0)
+        self._simulator.Initialize()
+        self._steps = 0
 
     def _damp(self, damping: np.ndarray) -> None:
         """Set the joints' damping from that of all degrees of freedom (nv,)."""
@@ -258,7 +266,7 @@ class DrakeSimulation:
         sensordata[:] = data.sensordata
 
 
-class _Layout:
+class StateLayout:
     """Where MuJoCo's positions and velocities are in Drake's.
 
     Of the free joint Drake has the quaternion before the position, and the angular velocity, in
