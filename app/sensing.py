@@ -12,6 +12,7 @@ from app.output import InputError
 
 if TYPE_CHECKING:
     from app.navigation.sensed import SensingConfig
+    from sim.robot import Robot
 
 
 def parse_jump(word: str) -> tuple[float, float]:
@@ -75,6 +76,15 @@ class SensingOptions:
             jump_m=jump_m,
         )
         return SensingConfig(localization=localization)
+
+
+def require_measured_joints(options: SensingOptions, robot: Robot) -> None:
+    """Raises InputError where a robot goes by its legs, and has joints that nothing measures."""
+    if options.sensed and robot.passive:
+        raise InputError(
+            f"--sensed cannot tell where the feet of {robot.name} are: nothing measures its "
+            f"passive joints ({robot.passive[0].name}, ...)"
+        )
 
 
 def require_policy(options: SensingOptions, controller: str) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from app.cli import main
+from app.output import InputError
+from app.sensing import SensingOptions, require_measured_joints
 from controller.env import TaskConfig, WalkTask
 from controller.gait import CONTROL_PERIOD_S
 from controller.observation import policy_fields
@@ -177,3 +179,9 @@ def test_what_cannot_take_it_says_so_in_one_line(words, told, tmp_path, monkeypa
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("error: ")
     assert told in error
+
+
+def test_a_robot_with_passive_joints_cannot_go_by_its_legs():
+    with pytest.raises(InputError, match="nothing measures its passive joints"):
+        require_measured_joints(SensingOptions(sensed=True), FAITHFUL)
+    require_measured_joints(SensingOptions(sensed=True), get_robot("jvrc1"))

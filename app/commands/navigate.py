@@ -41,7 +41,7 @@ from app.output import (
     write_text,
 )
 from app.ros.recording import Recorder, recording, require_recordable
-from app.sensing import SensingOptions, require_policy
+from app.sensing import SensingOptions, require_measured_joints, require_policy
 from app.workers import compile_planner
 from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
@@ -141,6 +141,7 @@ def run(options: NavigateOptions) -> int:
         raise InputError("--sensed is a walk that nobody steers: leave out --view")
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
+    require_measured_joints(options, robot)
     by_model = options.controller == "lipm"
     engine = load_engine(options, robot)
     # Before the walk and not after it.

@@ -32,7 +32,7 @@ from app.options import (
 )
 from app.output import ExitCode, InputError, ProgressBar, claim_folder, say, to_json, write_text
 from app.ros.recording import recording, require_recordable
-from app.sensing import SensingOptions, require_policy
+from app.sensing import SensingOptions, require_measured_joints, require_policy
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
 from maps.files import from_json, read_json
@@ -114,6 +114,7 @@ def run(options: TrialsOptions) -> int:
     options.sensing()
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
+    require_measured_joints(options, robot)
     engine = load_engine(options, robot)
     claim_folder(options.out, option="--out")
     require_recordable(options.record, None)

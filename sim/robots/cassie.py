@@ -194,16 +194,17 @@ _LEG_SHAPES: dict[str, dict[str, Rod]] = {
 FOOT = FootShape(length_m=0.20, width_m=0.04)
 
 # Name, kp, kd, torque limit (N m), speed limit (rad/s), rotor (kg m2), half-sitting (deg), mirror
-# sign. Limits and speeds: those of the motors through the gears. Gains ESTIMATED: twice APEX's and
-# more but at the foot, as those of H1. The knee bears 42 N m in half-sitting, and the hip roll as
-# much on one foot: APEX's gains give by 25 degrees there. Half-sitting: knee of APEX; hip pitch and
-# foot such that soles are flat and the centre of mass, 1.8 cm behind their middle there, above it.
+# sign. Limits and speeds: those of the motors through the gears. Gains ESTIMATED, well above APEX's
+# 100, 100, 88, 96, 50, and no more than reaches the torque limit at about half a radian: the knee
+# bears 42 N m in half-sitting, and the hip roll as much on one foot, where APEX's give by 25
+# degrees. Half-sitting: knee of APEX; hip pitch and foot such that soles are flat and the centre of
+# mass, 1.8 cm behind their middle there, above it.
 _LEG = (
     ("hip-roll", 200, 20, 112.5, 12.15, 0.038125, 0.0, -1),
     ("hip-yaw", 200, 20, 112.5, 12.15, 0.038125, 0.0, -1),
-    ("hip-pitch", 200, 20, 195.2, 8.51, 0.09344, 27.2964, 1),
-    ("knee", 250, 25, 195.2, 8.51, 0.09344, -68.74, 1),
-    ("foot", 50, 5, 45, 11.52, 0.01225, -92.104, 1),
+    ("hip-pitch", 250, 25, 195.2, 8.51, 0.09344, 27.2964, 1),
+    ("knee", 400, 40, 195.2, 8.51, 0.09344, -68.74, 1),
+    ("foot", 80, 8, 45, 11.52, 0.01225, -92.104, 1),
 )
 JOINTS = both_legs(_LEG, named="{side}-{joint}")
 # In half-sitting, DERIVED: springs as half the weight on each foot bends them, loops closed. Angle
@@ -364,9 +365,9 @@ def _of(side: str, values: tuple[float, ...], signs: tuple[int, ...]) -> tuple[f
     """Angle or quaternion of the left leg on a side."""
     if side == "left":
         return values
-    w, *turn = values if len(values) == 4 else (None, *values)
-    mirrored = [sign * value for sign, value in zip(signs, turn, strict=True)]
-    return tuple(mirrored) if w is None else (w, *mirrored)
+    kept = values[: len(values) - len(signs)]  # w of a quaternion
+    turned = values[len(kept) :]
+    return (*kept, *(sign * value for sign, value in zip(signs, turned, strict=True)))
 
 
 # ESTIMATED: those of a robot of this size without ankle roll, well inside what the hips reach.
