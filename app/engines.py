@@ -33,7 +33,7 @@ class EngineOptions:
     """How contacts are damped by sap: a time in s, such as 0.1."""
 
     contact_dissipation: Annotated[float, number(at_least=0.0)] = _DEFAULT.dissipation_s_m
-    """How contacts are damped by all but sap: Hunt and Crossley's, in s/m, such as 10."""
+    """How contacts are damped by all but sap: Hunt and Crossley's, in s/m, such as 1."""
 
     contact_friction: Annotated[float | None, number(at_least=0.0)] = None
     """Coefficient of friction in Drake, such as 0.5; none: the scene's own."""

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from app.engines import EngineOptions, load_engine
+from app.evaluation.parts import EvaluationSetup, Part, ResultCache
 from app.output import InputError
+from controller.assessment import assess_mode, at_navigation_rate
 from controller.evaluation.rollouts import chained, start_walks, walk
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import load_policy
@@ -187,6 +189,39 @@ def test_the_policy_that_learned_in_mujoco_walks_in_drake(jvrc1):
     errors = walk_ahead(jvrc1, 3.5)
     assert len(errors) >= 2
     assert max(errors) < 0.04
+
+
+def test_episodes_on_stairs_are_walked_in_drake():
+    """The treads are placed and bear the robot; a second of it, that no test takes long."""
+    robot = get_robot("jvrc1")
+    config = replace(at_navigation_rate(), episode_ticks=40)
+    result = assess_mode(
+        robot,
+        load_policy(robot),
+        "stairs_up",
+        episodes=1,
+        seed=0,
+        config=config,
+        tread_error_m=0.02,
+        engine=DRAKE,
+    )
+    assert (result.falls, result.episode_ticks.tolist()) == (0, [40])
+
+
+def test_an_evaluation_tells_the_engine_and_takes_up_no_other_ones_results(tmp_path):
+    robot = get_robot("jvrc1")
+    caches = []
+    part = Part(name="gait", robot_seconds=1.0, measure=lambda results: {})
+    for engine in (MUJOCO, DRAKE):
+        setup = EvaluationSetup(
+            robot=robot, controller=load_policy(robot), episodes=1, seed=0, engine=engine
+        )
+        assert setup.draws(2)["engine"] is engine
+        assert setup.who.get("engine") == engine.about
+        caches.append(ResultCache(tmp_path, setup))
+    caches[0].write(part, {"falls": 0})
+    assert caches[0].read(part) == {"falls": 0}
+    assert caches[1].read(part) is None
 
 
 @pytest.mark.slow

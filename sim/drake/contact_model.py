@@ -29,7 +29,7 @@ class ContactModel:
     approximation: str = "sap"
     modulus_pa: float = 1e6
     relaxation_s: float = 0.02
-    dissipation_s_m: float = 1.0
+    dissipation_s_m: float = 50.0
     friction: float | None = None
     stiction_m_s: float = 1e-4
     timestep_s: float = 0.001
