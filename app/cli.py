@@ -41,6 +41,10 @@ class Command:
 
 COMMANDS: Mapping[str, Command] = MappingProxyType(
     {
+        "compare": Command(
+            "compare a robot's log with the simulator, joint by joint",
+            "compare log.csv --robot jvrc1",
+        ),
         "dataset": Command(
             "plan footsteps to many random goals: a corpus to train on",
             "dataset --count 1000 --out runs/corpus",

@@ -50,7 +50,8 @@ class Walker:
     `disturbed` (B,) is whether a robot's steps may change against a push; a controller that can
     tell a push from its own gait clears it, others leave it true.
     `noise` adds to an observation what its sensors err by, which `observe` itself is without.
-    `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps.
+    `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps;
+    `target_rad` (B, J) the targets last asked for, before any delay.
     `estimated` is the state that robots see in place of the true one, where sensors are all that
     they have; whoever estimates it sets it anew after each step.
     """
@@ -80,6 +81,7 @@ class Walker:
         self.latency_ticks = np.zeros(count)
         self.estimated: RobotState | None = None
         self._sent = np.zeros((count, len(self.robot.joints)))
+        self.target_rad = np.tile(self.robot.half_sitting_rad, (count, 1))
 
     def _simulate(self) -> Simulation:
         settings = self._settings
@@ -128,6 +130,7 @@ class Walker:
             True (B,) where a step's period has just ended, as from `StepCursor.advance`.
         """
         blend = 0.5 * (action + self.action)
+        self.target_rad = self.robot.half_sitting_rad + blend
         latency = self.latency_ticks[:, None]
         self.sim.step(self.robot.half_sitting_rad + (1 - latency) * blend + latency * self._sent)
         self._sent = blend
@@ -142,7 +145,12 @@ class Walker:
         The joint targets (B, J) of each part come from the sensors before it: see
         `Simulation.step_in_parts`. Returns the same as `act`.
         """
-        self.sim.step_in_parts(parts, targets_rad)
+
+        def noted(sensors: np.ndarray) -> np.ndarray:
+            self.target_rad = targets_rad(sensors)
+            return self.target_rad
+
+        self.sim.step_in_parts(parts, noted)
         return self.cursor.advance()
 
     @property

@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parent.parent
 GOAL = (0.4, -0.5, -0.4)
 LATCHED = {"/map", "/robot_description", "/tf_static"}
 EACH_TICK = {
-    *("/tf", "/joint_states", "/odom", "/gait_phase"),
+    *("/tf", "/joint_states", "/joint_targets", "/odom", "/gait_phase"),
     *("/left_foot_force", "/right_foot_force"),
 }
 CHANGES = {"/footsteps", "/path", "/footsteps_placed", "/plan_events", "/report"}

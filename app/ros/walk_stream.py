@@ -24,6 +24,7 @@ from app.ros.messages import (
     told_map,
     vector,
 )
+from controller.gait import CONTROL_PERIOD_S
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
 from planner.robot_model import Side
@@ -63,6 +64,7 @@ class WalkStream:
         moving = transforms(self._frames.moving(), time_ns)
         yield Told("tf", "tf2_msgs/msg/TFMessage", moving)
         yield Told("joint_states", "sensor_msgs/msg/JointState", _joints(navigator, time_ns))
+        yield Told("joint_targets", "sensor_msgs/msg/JointState", _targets(navigator, time_ns))
         yield Told("odom", "nav_msgs/msg/Odometry", _odometry(navigator, time_ns))
         yield from self._forces(navigator, time_ns)
         cursor = navigator.walker.cursor
@@ -162,6 +164,18 @@ def _joints(navigator: Navigator, time_ns: int) -> Any:
         position=np.array(sim.qpos[0, scene.joint_qpos], float),
         velocity=np.array(sim.qvel[0, scene.joint_qvel], float),
         effort=np.array(navigator.walker.joint_torque_nm()[0], float),
+    )
+
+
+def _targets(navigator: Navigator, time_ns: int) -> Any:
+    """The joint targets of the tick that has ended, stamped with the time they were sent."""
+    return new(
+        "sensor_msgs/msg/JointState",
+        header=header(max(time_ns - round(1e9 * CONTROL_PERIOD_S), 0), ""),
+        name=[joint.name for joint in navigator.robot.joints],
+        position=np.array(navigator.walker.target_rad[0], float),
+        velocity=np.zeros(0),
+        effort=np.zeros(0),
     )
 
 

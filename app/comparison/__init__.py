@@ -1,0 +1,1 @@
+"""The command `compare`: logs of robots read, replayed, told and drawn."""

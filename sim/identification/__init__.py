@@ -1,0 +1,1 @@
+"""Servo parameters of a robot from a log of how it moved."""
