@@ -105,13 +105,17 @@ def metadata(policy: Policy, robot: Robot, *, clip: bool = True) -> dict[str, st
     trained = policy.about.get("trained") or {}
     task = (trained.get("config") or {}).get("task") or {}
     ticks = GaitTicks.of(robot.gait)
-    x_m, _, z_m = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S).standing_qpos[:3].tolist()
+    scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
+    x_m, _, z_m = scene.standing_qpos[:3].tolist()
+    ranges = [scene.model.joint(joint.name).range.tolist() for joint in robot.joints]
     facts: dict[str, Any] = {
         "joints": [joint.name for joint in robot.joints],
         "half_sitting_rad": robot.half_sitting_rad.tolist(),
         "kp_nm_rad": [joint.kp for joint in robot.joints],
         "kd_nm_s_rad": [joint.kd for joint in robot.joints],
         "torque_limit_nm": [joint.torque_limit_nm for joint in robot.joints],
+        "speed_limit_rad_s": [float(joint.speed_limit_rad_s) for joint in robot.joints],
+        "joint_range_rad": ranges,
         "armature_kg_m2": [joint.armature_kg_m2 for joint in robot.joints],
         "control_period_s": CONTROL_PERIOD_S,
         "gait_ticks": {"swing": ticks.swing, "double_support": ticks.double_support},

@@ -25,6 +25,16 @@ TEXTS = ("format", "robot", "joint_target_rad", "mujoco_version", "git_revision"
 WAIT_S, SETTLE_S = 0.5, 2.0
 
 
+def load_policy(policy_file: str) -> tuple[Any, dict[str, Any]]:
+    """The policy, and what its file says of itself."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1  # it is small: more threads only wait for each other
+    providers = ["CPUExecutionProvider"]
+    policy = onnxruntime.InferenceSession(policy_file, options, providers=providers)
+    told = policy.get_modelmeta().custom_metadata_map
+    return policy, {key: text if key in TEXTS else json.loads(text) for key, text in told.items()}
+
+
 class Robot:
     """The robot in simulation: servos by the policy's metadata, standing where the plan begins."""
 
@@ -131,9 +141,7 @@ def observe(
 
 def main(policy_file: str, model_file: str, plan_file: str) -> int:
     """Walks, and says how far the feet end from the plan's last steps; 0 if it stands there."""
-    policy = onnxruntime.InferenceSession(policy_file, providers=["CPUExecutionProvider"])
-    told = policy.get_modelmeta().custom_metadata_map
-    about = {key: text if key in TEXTS else json.loads(text) for key, text in told.items()}
+    policy, about = load_policy(policy_file)
     plan = json.loads(Path(plan_file).read_text(encoding="utf-8"))
     robot = Robot(model_file, about, np.array([plan["start_feet"][s] for s in ("left", "right")]))
     half_sitting_rad = np.array(about["half_sitting_rad"])
