@@ -174,6 +174,8 @@ def test_files_that_are_no_logs(folder, capsys):
         path = folder / name
         path.write_bytes(content)
         assert told in refusal(capsys, "compare", path, "--out", folder / "out")
+    words = "compare", folder / "none.csv", "--out", folder / "out", "--robot", "cassie"
+    assert "passive joints" in refusal(capsys, *words)
     assert "cannot read" in refusal(capsys, "compare", folder / "none.csv", "--out", folder / "out")
 
 

@@ -17,7 +17,7 @@ from app.cli import main
 from controller.gait import GaitTicks
 from controller.observation import observe
 from controller.onnx_export import metadata
-from controller.policy import load_policy
+from controller.policy import load_policy, own_policy_path
 from controller.step_cursor import StepCursor, StepSequence
 from maps.map_files import load_map
 from planner.plan import FootstepPlan
@@ -114,7 +114,9 @@ def test_its_gait_is_that_of_the_step_cursor(program, about, steps, paced):
     assert cursor.arrived[0]
 
 
-@pytest.mark.parametrize("name", robot_names())
+@pytest.mark.parametrize(
+    "name", [name for name in robot_names() if own_policy_path(get_robot(name)).exists()]
+)
 def test_its_robot_and_observation_are_those_of_the_scene(program, name, tmp_path):
     robot = get_robot(name)
     scene = build_scene(robot, timestep_s=0.001)

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from app.options import FolderOption, RobotName, find_robot, text
-from app.output import ExitCode, make_folder, say, to_json, write_text
+from app.output import ExitCode, InputError, make_folder, say, to_json, write_text
 
 LogArgument = Annotated[Path, text("LOG", Path), tyro.conf.Positional]
 
@@ -43,6 +43,11 @@ class CompareOptions:
 def run(options: CompareOptions) -> int:
     """Carries the command out; returns the exit code."""
     robot = find_robot(options.robot)
+    if robot.passive:
+        raise InputError(
+            f"--robot: compare cannot replay {robot.name}: nothing measures its passive joints "
+            f"({robot.passive[0].name}, ...)"
+        )
     make_folder(options.out, option="--out")
 
     # Here and not above: they load MuJoCo and matplotlib, for which wrong input need not wait.
