@@ -303,6 +303,8 @@ def _shape(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh:
         shape = trimesh.creation.box(extents=2 * size)
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
         shape = trimesh.creation.icosphere(subdivisions=2, radius=size[0])
+    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        shape = trimesh.creation.icosphere(subdivisions=2).apply_scale(size)
     elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
         shape = trimesh.creation.cylinder(radius=size[0], height=2 * size[1])
     elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -35,7 +35,7 @@ from sim.robot import (
     RobotStepModel,
     both_legs,
 )
-from sim.solids import Ellipsoid, Rod, Vector, add_shape, capsule
+from sim.solids import Ellipsoid, Rod, Vector, add_look, add_shape, capsule
 
 if TYPE_CHECKING:
     import mujoco
@@ -190,6 +190,15 @@ _LEG_SHAPES: dict[str, dict[str, Rod]] = {
     "foot": {"foot": _SOLE},
 }
 # fmt: on
+# What is seen besides: the rods. Thickness and colours are ESTIMATED.
+_LIGHT, _DARK, _STEEL = (0.88, 0.87, 0.84, 1.0), (0.20, 0.21, 0.24, 1.0), (0.62, 0.64, 0.67, 1.0)
+_COLOURS = {"thigh": _LIGHT, "shin_spring": _STEEL, "foot": (0.07, 0.08, 0.09, 1.0)}
+_RODS = {
+    "achilles_rod": capsule((0, 0, 0), (0.5012, 0, 0), 0.012),
+    "heel_spring": capsule((0, 0, 0), (0.119, -0.009, -0.002), 0.008),
+    "foot_crank": capsule((0, 0, -0.008), (0.055, 0, -0.008), 0.010),
+    "plantar_rod": capsule((0, 0, 0), (0.35012, 0, 0), 0.006),
+}
 # MENAGERIE's capsule: 16 cm from centre to centre of its caps.
 FOOT = FootShape(length_m=0.20, width_m=0.04)
 
@@ -288,15 +297,9 @@ def _add_shapes(spec: mujoco.MjSpec, side: str, bits: tuple[int, int]) -> None:
     import mujoco
 
     for link, shapes in _LEG_SHAPES.items():
-        own = _mirror(link) if side == "right" else np.ones(3)
         for name, rod in shapes.items():
-            first, last = (tuple(own * end) for end in (rod.first, rod.last))
-            add_shape(
-                spec.body(_body(side, link)),
-                f"{side}_{name}",
-                capsule(first, last, rod.radius),
-                bits,
-            )
+            shape = _on_side(rod, link, side)
+            add_shape(spec.body(_body(side, link)), f"{side}_{name}", shape, bits)
     heel, toe = (np.array(end) for end in (_SOLE.first, _SOLE.last))
     forward = (toe - heel) / np.linalg.norm(toe - heel)
     up = np.cross(forward, [0, 0, -1])  # the body's z points to the right
@@ -323,6 +326,13 @@ def _add_loops(spec: mujoco.MjSpec, side: str) -> None:
         )
 
 
+def _on_side(rod: Rod, link: str, side: str) -> Rod:
+    """A rod of the left leg on a side."""
+    own = _mirror(link) if side == "right" else np.ones(3)
+    first, last = (tuple(own * end) for end in (rod.first, rod.last))
+    return replace(rod, first=first, last=last)
+
+
 def _body(side: str, link: str) -> str:
     return f"{side}_leg" if link == "hip_roll" else f"{side}_{link}"
 
@@ -345,6 +355,22 @@ def build() -> mujoco.MjSpec:
         _add_shapes(spec, side, bits)
         _add_loops(spec, side)
     return spec
+
+
+def add_looks(spec: mujoco.MjSpec) -> None:
+    """Dresses the model in its collision shapes and its rods, for pictures."""
+    for shape in _PELVIS_SHAPES.values():
+        add_look(spec, spec.body("pelvis"), shape, _LIGHT)
+    for side in ("left", "right"):
+        for link, shapes in _LEG_SHAPES.items():
+            for name, rod in shapes.items():
+                look = _on_side(rod, link, side)
+                add_look(spec, spec.body(_body(side, link)), look, _COLOURS.get(name, _DARK))
+        for link, rod in _RODS.items():
+            # The rigid model has none.
+            if spec.body(_body(side, link)) is not None:
+                look = _on_side(rod, link, side)
+                add_look(spec, spec.body(_body(side, link)), look, _STEEL)
 
 
 def passive_joints(names: Collection[str]) -> tuple[PassiveJoint, ...]:
@@ -406,5 +432,6 @@ ROBOT = Robot(
     longest_timestep_s=0.0025,
     trained_as="cassie-rigid",
     build=build,
+    add_meshes=add_looks,
     training_limits=LIMITS,
 )
