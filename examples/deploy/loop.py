@@ -187,7 +187,10 @@ class Walk:
 
 
 class Excitation:
-    """Targets for a robot that hangs in a stand: a chirp of each joint in turn, both legs."""
+    """Targets for a robot that hangs in a stand: a chirp of each joint in turn.
+
+    Both legs do the same, side by side, so that they do not meet.
+    """
 
     def __init__(self, about: dict[str, Any], seconds_each: float = 5.0, amplitude: float = 0.2):
         self._half_sitting = np.array(about["half_sitting_rad"])
@@ -201,7 +204,7 @@ class Excitation:
                 cycles = low_hz * t + (high_hz - low_hz) * t * t / (2 * each_s)
                 turn = amplitude * math.sin(2 * math.pi * cycles) * min(1.0, 2 * (each_s - t))
                 target = self._half_sitting.copy()
-                target[[joint, joint + leg]] += turn, -turn
+                target[[joint, joint + leg]] += turn
                 yield target
 
     def target(self, state: Any) -> np.ndarray | None:
