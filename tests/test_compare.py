@@ -202,7 +202,11 @@ def test_a_recorded_walk_is_that_of_the_model(folder, capsys):
     pytest.importorskip("mcap", reason="the extra record is not installed")
     walk = ["navigate", "--map", "maps/room.png", "--goal", "0.4,-0.5,-0.4", "--out", str(folder)]
     assert main([*walk, "--record", str(folder / "walk.mcap")]) == 0
-    for row in compared(folder / "walk.mcap", capsys=capsys)["joints"]:
+    joints = compared(folder / "walk.mcap", capsys=capsys)["joints"]
+    # A few steps: one leg swings too seldom.
+    known = [row for row in joints if row["verdict"] != "too little in the log"]
+    assert len(known) >= 6
+    for row in known:
         assert row["verdict"] == "as the model"
         assert row["kp_nm_rad"]["fitted"] == pytest.approx(row["kp_nm_rad"]["model"], rel=0.05)
         assert row["model_rms_rad"] < math.radians(0.05)

@@ -22,6 +22,7 @@ STEP_S = 0.001
 # Windows: of a hanging robot as long as this; of a swing at least as long as that, its ends cut.
 _LONGEST_S, _SHORTEST_S, _ENDS_S = 1.5, 0.25, 0.05
 _MOST_WINDOWS = 60
+_STOP_RAD = 0.01  # so near to an end of its range a joint may touch it
 ROUNDS, _CLOSE = 25, 0.02
 _FIRST_DELAY_S, _LEAST_TRUST = 0.005, 1e3
 # What is searched of a joint: logarithm of the gain over the model's, damping over the model's and
@@ -60,7 +61,7 @@ class ServoFit:
     Attributes:
         nominal: the model's; its damping includes that of the joints.
         servo: fitted; nan for joints with too little in the log.
-        deviation: one standard deviation of each, as far as residuals are independent.
+        deviation: one standard deviation of each, windows taken as independent of each other.
         rows: rows of the log that were compared (J,).
         nominal_rms_rad, fitted_rms_rad: of replayed against measured angles (J,).
         replayed: times (R,), windows' numbers (R,), angles by the model's and by the fitted
@@ -106,7 +107,9 @@ def fit_servos(log: RobotLog, loads: Loads, scene: Scene, *, hanging: bool) -> S
     found, best = _searched(replays, start, known)
     covariance = np.full((joints, 5, 5), np.nan)
     for j in known:
-        covariance[j] = _covariance(best.free_rest[j], best.free_by[j])
+        # Of each window its rows, and two for the begin.
+        sizes = [len(angle) + 2 for angle in best.angle[j]]
+        covariance[j] = _covariance(best.free_rest[j], best.free_by[j], sizes)
     none = np.zeros(0)
     replayed = [
         (*replays.times(j), np.concatenate(by_model.angle[j]), np.concatenate(best.angle[j]))
@@ -207,8 +210,17 @@ class _Replays:
 
     def __init__(self, log: RobotLog, loads: Loads, scene: Scene, *, hanging: bool):
         model, dofs, joints = scene.model, scene.joint_qvel, len(scene.joint_qvel)
-        legs = [_windows(loads.time_s, loads.swings[:, leg], hanging=hanging) for leg in range(2)]
-        windows = [(j, *window) for j in range(joints) for window in legs[j // (joints // 2)]]
+        windows = []
+        for j, joint in enumerate(scene.robot.joints):
+            # At an end of its range it is not the servo that holds it.
+            away = np.full(len(loads.time_s), True)
+            if model.joint(joint.name).limited[0]:
+                low, high = model.joint(joint.name).range
+                away = (loads.pos_rad[:, j] > low + _STOP_RAD) & (
+                    loads.pos_rad[:, j] < high - _STOP_RAD
+                )
+            is_on = loads.swings[:, j // (joints // 2)] & away
+            windows += [(j, *one) for one in _windows(loads.time_s, is_on, hanging=hanging)]
         in_log = [_between(log.time_s, begin, end) for _, begin, end in windows]
         kept = [c for c, rows in enumerate(in_log) if len(rows) >= _LEAST_ROWS]
         windows, self._in_log = [windows[c] for c in kept], [in_log[c] for c in kept]
@@ -370,9 +382,20 @@ def _step(now: np.ndarray, rest: np.ndarray, by: np.ndarray, trust: float) -> np
         is_free &= ~leaves
 
 
-def _covariance(rest: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """Of what is searched (5, 5), if residuals are independent."""
-    covariance: np.ndarray = np.linalg.pinv(by.T @ by) * (rest @ rest / max(len(rest) - 5, 1))
+def _covariance(rest: np.ndarray, by: np.ndarray, sizes: list[int]) -> np.ndarray:
+    """Of what is searched (5, 5), with windows of these sizes independent of each other.
+
+    Residuals in a window are not (Liang and Zeger 1986, equation 2). inf of a single window.
+    """
+    ends = np.cumsum(sizes)[:-1]
+    scores = [
+        part.T @ own for part, own in zip(np.split(by, ends), np.split(rest, ends), strict=True)
+    ]
+    if len(scores) < 2:
+        return np.full((5, 5), np.inf)
+    inverse = np.linalg.pinv(by.T @ by)
+    between = sum(np.outer(score, score) for score in scores) * len(scores) / (len(scores) - 1)
+    covariance: np.ndarray = inverse @ between @ inverse
     return covariance
 
 
@@ -395,13 +418,14 @@ def _rms(values: np.ndarray) -> float:
 
 def _windows(time_s: np.ndarray, is_on: np.ndarray, *, hanging: bool) -> list[tuple[float, float]]:
     """Begins and ends of what is replayed in one piece; at most so many, spread over the log."""
-    if hanging:
-        count = max(1, round((time_s[-1] - time_s[0]) / _LONGEST_S))
-        found = list(pairwise(np.linspace(time_s[0], time_s[-1], count + 1).tolist()))
-    else:
-        edge = np.flatnonzero(np.diff(np.concatenate([[False], is_on, [False]]).astype(int)))
-        ends = [(time_s[a] + _ENDS_S, time_s[b - 1] - _ENDS_S) for a, b in edge.reshape(-1, 2)]
-        found = [(float(a), float(b)) for a, b in ends if b - a >= _SHORTEST_S]
+    edge = np.flatnonzero(np.diff(np.concatenate([[False], is_on, [False]]).astype(int)))
+    cut_s = 0.0 if hanging else _ENDS_S
+    found: list[tuple[float, float]] = []
+    for first, end in edge.reshape(-1, 2):
+        begin_s, end_s = float(time_s[first]) + cut_s, float(time_s[end - 1]) - cut_s
+        if end_s - begin_s >= _SHORTEST_S:
+            count = max(1, round((end_s - begin_s) / _LONGEST_S))
+            found += pairwise(np.linspace(begin_s, end_s, count + 1).tolist())
     if len(found) > _MOST_WINDOWS:
         chosen = np.linspace(0, len(found) - 1, _MOST_WINDOWS).round().astype(int)
         found = [found[k] for k in chosen]
