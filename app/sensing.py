@@ -1,17 +1,18 @@
-"""Whether the robot goes by its sensors alone, and how it is localized: options of the commands."""
+"""What the robot knows of itself, and how its hardware differs: options of the commands."""
 
 from __future__ import annotations
 
 import contextlib
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Annotated, Any
 
 from app.options import Reach, ReachOption, number, text
 from app.output import InputError
 
 if TYPE_CHECKING:
     from app.navigation.sensed import SensingConfig
+    from sim.hardware import HardwareErrors
     from sim.robot import Robot
 
 
@@ -22,6 +23,23 @@ def parse_jump(word: str) -> tuple[float, float]:
         if 0 <= at_s < math.inf and 0 <= jump_m < math.inf:
             return at_s, jump_m
     raise ValueError(f"{word!r} is not a jump; write S,M in seconds and metres, such as 5,1")
+
+
+def parse_hardware(word: str) -> HardwareErrors:
+    """Reads NAME=VALUE,...; raises ValueError where a name or value cannot be."""
+    from sim.hardware import HardwareErrors
+
+    names = [field.name for field in fields(HardwareErrors) if field.name != "payload_m"]
+    values: dict[str, Any] = {}
+    for part in word.split(","):
+        name, _, value = part.partition("=")
+        if name not in names:
+            raise ValueError(f"{name!r} is not one of {', '.join(names)}")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            raise ValueError(f"{part!r} is not NAME=VALUE, such as delay_s=0.015") from None
+    return HardwareErrors(**values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +64,10 @@ class SensingOptions:
 
     localization_jump: Annotated[tuple[float, float] | None, text("S,M", parse_jump)] = None
     """From when on, and by how much, all places are off, such as 5,1."""
+
+    hardware: Annotated[Any, text("NAME=VALUE,...", parse_hardware)] = None
+    """How robot and ground differ from the model, such as delay_s=0.015,gain=0.85,encoder_rad=0.017
+    (docs/hardware.md)."""
 
     def sensing(self) -> SensingConfig | None:
         """What the navigator is told; None: the robot knows its true state.
@@ -78,18 +100,18 @@ class SensingOptions:
         return SensingConfig(localization=localization)
 
 
-def require_measured_joints(options: SensingOptions, robot: Robot) -> None:
-    """Raises InputError where a robot goes by its legs, and has joints that nothing measures."""
+def require_able(options: SensingOptions, robot: Robot, *, controller: str, engine: str) -> None:
+    """Raises InputError where what is asked for is not held by this robot, controller or engine."""
+    if options.hardware is not None and controller != "policy":
+        raise InputError(f"--hardware goes with --controller policy, not with {controller}")
+    if options.hardware is not None and engine != "mujoco":
+        raise InputError(f"--hardware goes with --engine mujoco, not with {engine}")
+    if options.sensed and controller != "policy":
+        raise InputError(
+            f"--sensed goes with --controller policy: {controller} takes the true state"
+        )
     if options.sensed and robot.passive:
         raise InputError(
             f"--sensed cannot tell where the feet of {robot.name} are: nothing measures its "
             f"passive joints ({robot.passive[0].name}, ...)"
-        )
-
-
-def require_policy(options: SensingOptions, controller: str) -> None:
-    """Raises InputError where a controller by a model is asked to go by sensors."""
-    if options.sensed and controller != "policy":
-        raise InputError(
-            f"--sensed goes with --controller policy: {controller} takes the true state"
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -207,7 +207,7 @@ def assess_stage(
     The disturbances scale with the stage's level. The episodes are divided among the results. Of
     several `ranks` each walks its share of them, of its own seed, and all get the results of all.
     """
-    cases: list[tuple[str | None, dict[str, float]]] = [(None, {})]
+    cases: list[tuple[str | None, dict[str, Any]]] = [(None, {})]
     if stage.rise_m > 0:
         rough = {name: stage.disturbance_level * value for name, value in ROUGH.items()}
         cases += [("stairs", {"rise_m": stage.rise_m, **extra}) for extra in ({}, rough)]

@@ -8,11 +8,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controller.actuation import ImperfectServos
 from controller.gait import CONTROL_PERIOD_S, GaitTicks
 from controller.leg_odometry import RobotState
 from controller.observation import observe
 from controller.step_cursor import StepCursor, StepSequence
 from sim.engines import MUJOCO, Engine
+from sim.hardware import HardwareErrors, change_model
 from sim.robot import Robot
 from sim.scene import Scene
 from sim.simulation import Simulation
@@ -53,7 +55,8 @@ class Walker:
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps;
     `target_rad` (B, J) the targets last asked for, before any delay.
     `estimated` is the state that robots see in place of the true one, where sensors are all that
-    they have; whoever estimates it sets it anew after each step.
+    they have; whoever estimates it sets it anew after each step. `servos` take the joint targets of
+    a policy where they are not those of the model.
     """
 
     def __init__(
@@ -65,7 +68,13 @@ class Walker:
         capacity: int = 16,
         record: tuple[str, ...] = (),
         engine: Engine = MUJOCO,
+        hardware: HardwareErrors | None = None,
+        seed: int = 0,
     ):
+        """Set the robots up; `hardware` changes the scene's model, `seed` is for what it draws."""
+        self._hardware = hardware
+        if hardware is not None:
+            change_model(scene.model, scene.robot, hardware)
         self.scene = scene
         self.robot = scene.robot
         self._engine = engine
@@ -80,6 +89,9 @@ class Walker:
         self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
         self.estimated: RobotState | None = None
+        self.servos: ImperfectServos | None = None
+        if hardware is not None and hardware.changes_servos:
+            self.servos = ImperfectServos(self.sim, hardware, seed=seed)
         self._sent = np.zeros((count, len(self.robot.joints)))
         self.target_rad = np.tile(self.robot.half_sitting_rad, (count, 1))
 
@@ -97,6 +109,8 @@ class Walker:
 
     def enter(self, scene: Scene) -> None:
         """Go on in the same state in another scene of the robot, such as one with more walls."""
+        if self._hardware is not None:
+            change_model(scene.model, scene.robot, self._hardware)
         before = self.sim
         self.scene = scene
         self.sim = self._simulate()
@@ -111,11 +125,16 @@ class Walker:
 
     def observe(self) -> np.ndarray:
         """The policy's observation of every robot (B, N), before scaling."""
-        seen = self.estimated
+        qpos, qvel = self.sim.qpos, self.sim.qvel
+        if self.estimated is not None:
+            qpos, qvel = self.estimated.qpos, self.estimated.qvel
+        elif self.servos is not None:
+            qpos = qpos.copy()
+            qpos[:, self.scene.joint_qpos] += self.servos.encoder_offset_rad
         return observe(
             self.robot,
-            qpos=self.sim.qpos if seen is None else seen.qpos,
-            qvel=self.sim.qvel if seen is None else seen.qvel,
+            qpos=qpos,
+            qvel=qvel,
             joint_qpos=self.scene.joint_qpos,
             joint_qvel=self.scene.joint_qvel,
             clock=self.cursor.clock,
@@ -132,7 +151,11 @@ class Walker:
         blend = 0.5 * (action + self.action)
         self.target_rad = self.robot.half_sitting_rad + blend
         latency = self.latency_ticks[:, None]
-        self.sim.step(self.robot.half_sitting_rad + (1 - latency) * blend + latency * self._sent)
+        command = self.robot.half_sitting_rad + (1 - latency) * blend + latency * self._sent
+        if self.servos is None:
+            self.sim.step(command)
+        else:
+            self.servos.step(self.sim, command)
         self._sent = blend
         self.action = action.copy()
         return self.cursor.advance()

@@ -65,7 +65,17 @@ class SensorReadings:
 class OnboardSensors:
     """The sensors of one simulated robot; the same seed and walk give the same readings."""
 
-    def __init__(self, scene: Scene, errors: SensorErrors, *, seed: int):
+    def __init__(
+        self,
+        scene: Scene,
+        errors: SensorErrors,
+        *,
+        seed: int,
+        encoder_offset_rad: np.ndarray | None = None,
+    ):
+        """Set up; encoder_offset_rad (J,) is by how much each encoder reads too much."""
+        joints = len(scene.joint_qpos)
+        self._offset_rad = np.zeros(joints) if encoder_offset_rad is None else encoder_offset_rad
         self._scene, self._errors = scene, errors
         self._data = mujoco.MjData(scene.model)
         self._rng = np.random.default_rng(seed)
@@ -94,9 +104,10 @@ class OnboardSensors:
         pressure_m = self._in_soles(qpos, np.array(sensors[named.pressure_pos_world]))
         force_n += normal(0.0, errors.force_n, 2)
         pressure_m += normal(0.0, errors.pressure_m, (2, 2))
+        joint_rad = qpos[scene.joint_qpos] + self._offset_rad
         bears = np.array(sensors[named.ground_force_world[:, 2]]) > 0
         return SensorReadings(
-            joint_pos_rad=qpos[scene.joint_qpos] + normal(0.0, errors.joint_pos_rad, joints),
+            joint_pos_rad=joint_rad + normal(0.0, errors.joint_pos_rad, joints),
             joint_vel_rad_s=qvel[scene.joint_qvel] + normal(0.0, errors.joint_vel_rad_s, joints),
             pelvis_wxyz=turned,
             rate_rad_s=qvel[3:6] + normal(0.0, errors.rate_rad_s, 3),

@@ -279,7 +279,7 @@ def test_localization_that_jumps_stops_the_robot_and_plans_again():
         (["--sensed", "--localization", "0"], "'0' is not a number above 0"),
         (["--sensed", "--localization", "9", "--localization-noise", "0,0"], "must be above 0"),
         (["--sensed", "--localization-jump", "1"], "'1' is not a jump"),
-        (["--sensed", "--view"], "leave out --view"),
+        (["--sensed", "--view"], "no --view"),
     ],
 )
 def test_options_that_do_not_go_together(words, said, capsys):

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from controller.walker import Controller
 
 FORMAT = "policy-evaluation/2"
-SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "pace", "long", "limits")
+SECTION_NAMES = ("modes", "stairs", "gait", "push", "energy", "pace", "hardware", "long", "limits")
 # Sections whose parts are rows of one table; the others have one document for each part.
-TABLES = ("modes", "stairs", "push", "energy", "pace")
+TABLES = ("modes", "stairs", "push", "energy", "pace", "hardware")
 # With fewer walks 99 % and 97 % are told apart by chance only.
 ENOUGH_EPISODES = 100
 # What of another evaluation is shown; the rest stays in its own report.
@@ -64,8 +64,9 @@ class EvaluateOptions(EngineOptions, RobotOptions):
 
     Sections: falls and foot errors of every mode (modes), stairs with noise on treads and joints
     (stairs), joint loads, ground force and contact (gait), push recovery (push), speed and cost of
-    transport (energy), falls and speed with quicker steps (pace), a minute of mixed walking (long),
-    and the steps and margins that planning may count on (limits); what the last finds is stored
+    transport (energy), falls and speed with quicker steps (pace), falls with motors, encoders,
+    load and ground that differ from the model (hardware), a minute of mixed walking (long), and the
+    steps and margins that planning may count on (limits); what the last finds is stored
     beside the policy, where plans find it.
     The folder gets report.md, evaluation.json and the figures. What is done is kept when the run
     is cut off: the same command goes on from there.

@@ -41,7 +41,7 @@ from app.output import (
     write_text,
 )
 from app.ros.recording import Recorder, recording, require_recordable
-from app.sensing import SensingOptions, require_measured_joints, require_policy
+from app.sensing import SensingOptions, require_able
 from app.workers import compile_planner
 from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
@@ -135,15 +135,14 @@ def run(options: NavigateOptions) -> int:
         switch_gl_off()
     started = time.perf_counter()
     _require_reachable(options)
-    require_policy(options, options.controller)
     sensing = options.sensing()
-    if options.view and sensing is not None:
-        raise InputError("--sensed is a walk that nobody steers: leave out --view")
+    if options.view and not (sensing is None and options.hardware is None):
+        raise InputError("--sensed and --hardware are for walks that nobody steers: no --view")
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
-    require_measured_joints(options, robot)
     by_model = options.controller == "lipm"
     engine = load_engine(options, robot)
+    require_able(options, robot, controller=options.controller, engine=options.engine)
     # Before the walk and not after it.
     make_folder(options.out, option="--out")
     require_writable(options.html, option="--html", endings=(".html", ".htm"))
@@ -217,6 +216,7 @@ def walked(
             push_n_s=options.push,
             sensing=options.sensing(),
             engine=engine,
+            hardware=options.hardware,
         ),
     )
     recorder = stack.enter_context(recording(navigator, record=options.record, bag=options.bag))

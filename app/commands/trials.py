@@ -32,7 +32,7 @@ from app.options import (
 )
 from app.output import ExitCode, InputError, ProgressBar, claim_folder, say, to_json, write_text
 from app.ros.recording import recording, require_recordable
-from app.sensing import SensingOptions, require_measured_joints, require_policy
+from app.sensing import SensingOptions, require_able
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
 from maps.files import from_json, read_json
@@ -110,12 +110,11 @@ class Trial:
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
-    require_policy(options, options.controller)
     options.sensing()
     grid = read_grid(options)
     robot, policy = load_controlled(options, options.controller, options.pace)
-    require_measured_joints(options, robot)
     engine = load_engine(options, robot)
+    require_able(options, robot, controller=options.controller, engine=options.engine)
     claim_folder(options.out, option="--out")
     require_recordable(options.record, None)
     file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy, engine.about)
@@ -185,6 +184,7 @@ def settings_of(
         "push_n_s": options.push,
         "sensing": sensing and asdict(sensing),
         "engine": engine,
+        "hardware": options.hardware and asdict(options.hardware),
     }
 
 
@@ -290,6 +290,7 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
             push_n_s=options.push,
             sensing=options.sensing(),
             engine=load_engine(options, robot),
+            hardware=options.hardware,
         ),
     )
     file = options.record and options.record.with_stem(f"{options.record.stem}-{trial.number}")

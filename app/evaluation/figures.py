@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -363,6 +364,27 @@ def _pace(walks: Sequence[tuple[Sequence[Document], str, str]], figure: Figure) 
         falls.legend(frameon=False)
 
 
+def draw_hardware(document: Document, figure: Figure) -> None:
+    """A panel for each thing that differs: walks without a fall, and the feet's error."""
+    rows = document["hardware"]
+    kinds = list(dict.fromkeys(row["what"] for row in rows))
+    panels = figure.subplots(math.ceil(len(kinds) / 4), 4, sharey=True, squeeze=False).ravel()
+    for axes, what in zip(panels, kinds, strict=False):
+        here = [row for row in rows if row["what"] == what]
+        values = [row["value"] for row in here]
+        stayed = [100 * (1 - row["falls"] / row["walks"]) for row in here]
+        axes.plot(values, stayed, "o-", color=UP, label="walks without a fall, %")
+        seen = [row for row in here if row["error_m_p95"] is not None]
+        x, y = [row["value"] for row in seen], [1000 * row["error_m_p95"] for row in seen]
+        axes.plot(x, y, "s--", color=DOWN, label="foot error, 95th percentile, mm", markersize=4)
+        _plain(axes, xlabel=textwrap.fill(here[0]["unit"], 26), ylim=(0, 104))
+        axes.set_title(what, fontsize=9)
+        axes.xaxis.label.set_fontsize(8)
+    for axes in panels[len(kinds) :]:
+        axes.set_visible(False)
+    panels[0].legend(frameon=False, fontsize=7)
+
+
 # File name: the section that it shows, width and height, and who draws it.
 FIGURES: Mapping[str, tuple[str, tuple[float, float], Callable[[Document, Figure], None]]] = {
     "errors.png": ("modes", (7, 4), draw_errors),
@@ -374,6 +396,7 @@ FIGURES: Mapping[str, tuple[str, tuple[float, float], Callable[[Document, Figure
     "energy.png": ("energy", (7, 3.6), draw_energy),
     "limits.png": ("limits", (9, 4.6), draw_limits),
     "pace.png": ("pace", (7, 3.4), draw_pace),
+    "hardware.png": ("hardware", (11, 7.5), draw_hardware),
     "beside.png": ("modes", (9, 4), draw_beside),
     "beside_forces.png": ("gait", (9, 3.4), draw_side_by_side(_forces, "gait")),
     "beside_loads.png": ("gait", (9, 3.8), draw_beside_loads),

@@ -287,6 +287,24 @@ def _pace(document: Document) -> list[str]:
     )
 
 
+def _hardware(document: Document) -> list[str]:
+    rows = document["hardware"]
+    return paragraphs(
+        "## Robot and ground other than modelled",
+        f"{rows[0]['walks']} walks of 10 s in mixed modes for each value, which the robot is not "
+        "told; docs/hardware.md says what each means.",
+        table(
+            rows,
+            ("what", "{what}"),
+            ("value", "{value:g} {unit}"),
+            ("falls", "{falls} of {walks}"),
+            ("foot error, median", number("error_m_median", "{:.1f} cm", 100)),
+            ("p95", number("error_m_p95", "{:.1f} cm", 100)),
+        ),
+        "![Success and foot error by what differs](hardware.png)",
+    )
+
+
 def _long(document: Document) -> list[str]:
     long = document["long"]
     stayed = 1 - long["falls"] / long["walks"]
@@ -344,6 +362,7 @@ _SECTIONS: Mapping[str, Callable[[Document], list[str]]] = {
     "push": _push,
     "energy": _energy,
     "pace": _pace,
+    "hardware": _hardware,
     "long": _long,
     "limits": _limits,
     "beside": beside,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from app.evaluation.hardware import HARDWARE
 from app.evaluation.limits import limits_parts
 from app.evaluation.parts import EvaluationSetup, Part, Results
 from controller.assessment import ModeResult, assess_mode, at_navigation_rate
@@ -267,6 +268,51 @@ def pace_parts(setup: EvaluationSetup) -> list[Part]:
     ]
 
 
+def hardware_parts(setup: EvaluationSetup) -> list[Part]:
+    """Falls and foot errors of mixed walks, by how robot and ground differ from the model.
+
+    MuJoCo alone can hold that.
+    """
+    if setup.engine.about is not None:
+        return []
+    count, steps = setup.share(10), int(EPISODE_S / setup.robot.gait.step_s) + 2
+
+    def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> Any:
+        return draw_sequence(rng, setup.robot.training_model, feet, steps=steps)
+
+    def measure(results: Results, what: str, value: float) -> dict[str, Any]:
+        errors = HARDWARE[what].errors(value, setup.robot)
+        upright, missed_m = 0, []
+        for rows, seed in portions(count, setup.seed):
+            settings = setup.draws(len(rows)) | {"seed": seed}
+            walker = start_walks(setup.robot, draw, hardware=errors, **settings)
+            for tick in walk(walker, setup.controller, round(EPISODE_S / CONTROL_PERIOD_S)):
+                off_m = np.linalg.norm((tick.placed_world - tick.asked_world)[:, :2], axis=1)
+                missed_m.append(off_m[tick.landed])
+            upright += int(tick.upright.sum())
+        all_m = np.concatenate(missed_m)
+        median, p95 = np.percentile(all_m, (50, 95)).tolist() if len(all_m) else (None, None)
+        return {
+            "what": what,
+            "value": value,
+            "unit": HARDWARE[what].unit,
+            "walks": count,
+            "falls": count - upright,
+            "error_m_median": median,
+            "error_m_p95": p95,
+        }
+
+    return [
+        Part(
+            name=f"hardware-{what.replace(' ', '_')}-{value:g}",
+            robot_seconds=count * EPISODE_S,
+            measure=partial(measure, what=what, value=value),
+        )
+        for what, kind in HARDWARE.items()
+        for value in kind.values
+    ]
+
+
 def push_parts(setup: EvaluationSetup) -> list[Part]:
     """Success against impulse, a part for each direction."""
     mass_kg, count = setup.robot.mass_kg, setup.share(10)
@@ -296,6 +342,7 @@ SECTIONS: Mapping[str, Callable[[EvaluationSetup], list[Part]]] = {
     "push": push_parts,
     "energy": energy_parts,
     "pace": pace_parts,
+    "hardware": hardware_parts,
     "long": long_parts,
     "limits": limits_parts,
 }

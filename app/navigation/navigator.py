@@ -17,7 +17,7 @@ from app.navigation.report import (
     installed_versions,
 )
 from app.navigation.route import FootstepPlanner, Route, halting_plan, plan_through
-from app.navigation.sensed import Sensing, SensingConfig, has_moved, in_frame, in_map
+from app.navigation.sensed import Sensing, SensingConfig, in_frame, in_map
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.evaluation.push_recovery import random_pushes
 from controller.gait import CONTROL_PERIOD_S, step_durations_s
@@ -33,6 +33,7 @@ from planner.plan import FootstepPlan, Pose, finite_pose, pair_pose, wrap_angle
 from planner.planner import Planner
 from planner.robot_model import Side
 from sim.engines import MUJOCO, Engine
+from sim.hardware import HardwareErrors
 from sim.robot import Robot
 from sim.scene import min_clearance_m, scene_of
 
@@ -48,7 +49,8 @@ class NavigatorConfig:
     """When to plan again, when to give up, the `pace` of the steps, pushes, and the engine.
 
     `pace` is one of `PACES`. The pelvis is pushed by `push_n_s` over 0.1 s in a direction drawn
-    anew, every 3 to 5 s. With `sensing` the robot knows no more than it measures.
+    anew, every 3 to 5 s. With `sensing` the robot knows no more than it measures. `hardware` is
+    how it and the ground differ from the model.
     """
 
     replan_error_m: float = 0.06
@@ -65,6 +67,7 @@ class NavigatorConfig:
     push_n_s: float = 0.0
     sensing: SensingConfig | None = None
     engine: Engine = MUJOCO
+    hardware: HardwareErrors | None = None
     planner: PlannerOptions = field(default_factory=PlannerOptions)
 
 
@@ -89,12 +92,14 @@ class Navigator:
         config: NavigatorConfig | None = None,
         planner: FootstepPlanner | None = None,
     ):
-        self.config = config or NavigatorConfig()
+        self.config = config = config or NavigatorConfig()
         self.grid, self.robot, self.policy = grid, robot, policy
         self.start, self.goal, self.seed = tuple(start), tuple(goal), seed
         unknown_is_free = self.config.planner.unknown_is_free
         self.scene = scene_of(grid, robot, unknown_is_free)
-        self.walker = Walker(self.scene, threads=1, record=("qvel",), engine=self.config.engine)
+        self.walker = Walker(
+            self.scene, record=("qvel",), engine=config.engine, hardware=config.hardware, seed=seed
+        )
         self._act = policy.start(self.walker)
         self.gait = GaitRecorder(self.walker)
         self._footing = Footing(grid, robot.step_model, unknown_is_free)
@@ -106,8 +111,6 @@ class Navigator:
         self.walker.place(0, qpos)
         sensing = self.config.sensing
         self.sensing = None if sensing is None else Sensing(self.walker, sensing, seed=seed)
-        # Where the frame of the steps that are walked lies in the map, x, y, yaw.
-        self._frame = np.zeros(3)
         self._halts = False
         # Until there is a plan it stands where it is: its next two steps are its own feet.
         self.walker.follow(
@@ -325,9 +328,9 @@ class Navigator:
         Steps that the policy has seen stay where they are. Those after them follow a small
         correction of the robot's place; a larger one needs another plan.
         """
-        if self.sensing is None or np.array_equal(self._frame, self.sensing.frame):
+        if self.sensing is None:
             return True
-        if has_moved(self._frame, self.sensing.frame, pair_pose(self._feet())[:2]):
+        if self.sensing.has_left_plan(pair_pose(self._feet())[:2]):
             return False
         cursor, plan = self.walker.cursor, self.followed[-1][1]
         unseen = max(int(cursor.entry[0]) - STANCE, 0) + 1
@@ -403,10 +406,8 @@ class Navigator:
             self.policy.require_pace(self.robot, plan.step_s)
         side = plan.side.astype(np.int64)
         over_z_m = self._footing.swing_over_z_m(plan)
-        self._frame = self._frame if self.sensing is None else self.sensing.frame.copy()
-        start, steps = (
-            in_frame(poses, self._frame) for poses in (plan.start_feet_world, plan.pose_world)
-        )
+        frame = np.zeros(3) if self.sensing is None else self.sensing.plan_in_frame()
+        start, steps = (in_frame(at, frame) for at in (plan.start_feet_world, plan.pose_world))
         sequence = StepSequence.of(start, side, steps, plan.step_s, over_z_m)
         self.walker.follow(0, sequence, wait_ticks=wait_ticks, walking=walking)
         self.followed.append((self.time_s, plan))

@@ -49,7 +49,10 @@ class Sensing:
         """Begin where the robot stands, which it is told."""
         self._walker = walker
         sensors_seed, fixes_seed = np.random.SeedSequence((seed, 2)).generate_state(2)
-        self._sensors = OnboardSensors(walker.scene, config.errors, seed=int(sensors_seed))
+        offset_rad = None if walker.servos is None else walker.servos.encoder_offset_rad[0]
+        self._sensors = OnboardSensors(
+            walker.scene, config.errors, seed=int(sensors_seed), encoder_offset_rad=offset_rad
+        )
         self._odometry = LegOdometry(walker.scene, walker.sim.qpos[0], self._read(0.0))
         self._fixes: SimulatedLocalization | None = None
         self._filter: PoseFilter | None = None
@@ -61,6 +64,7 @@ class Sensing:
         self._place_errors_m: list[float] = []
         self.own_errors_m: list[float] = []
         self._told_jumps = 0
+        self._plan_frame = np.zeros(3)
         walker.estimated = self._odometry.state
 
     @property
@@ -72,6 +76,16 @@ class Sensing:
     def frame(self) -> np.ndarray:
         """Pose x, y, yaw (3,) of the odometry's frame in the map."""
         return np.zeros(3) if self._filter is None else self._filter.odom_in_map
+
+    def plan_in_frame(self) -> np.ndarray:
+        """The frame, in which a plan is about to be walked."""
+        self._plan_frame = self.frame.copy()
+        return self._plan_frame
+
+    def has_left_plan(self, at_map: np.ndarray) -> bool:
+        """Whether the frame has moved at a point (2,) by more than the plan's steps can follow."""
+        moved_m, turned_rad = frame_difference(self._plan_frame, self.frame, at_map)
+        return moved_m > MOST_MOVED_M or turned_rad > MOST_MOVED_RAD
 
     def ticked(self, time_s: float) -> None:
         """Take what is measured after a control step."""
@@ -137,12 +151,6 @@ def in_frame(poses_map: np.ndarray, frame: np.ndarray) -> np.ndarray:
 def in_map(poses: np.ndarray, frame: np.ndarray) -> np.ndarray:
     """Poses (n, 4) as `in_frame` gives them, in the map."""
     return _with_heights(from_frame(poses[:, [0, 1, 3]], frame), poses)
-
-
-def has_moved(frame: np.ndarray, other: np.ndarray, at_map: np.ndarray) -> bool:
-    """Whether one frame differs from another by more than a walk can bear, at a point (2,)."""
-    moved_m, turned_rad = frame_difference(frame, other, at_map)
-    return moved_m > MOST_MOVED_M or turned_rad > MOST_MOVED_RAD
 
 
 def _with_heights(poses: np.ndarray, heights_of: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from controller.step_sequences import chain_steps
 from controller.walker import Controller, Walker
 from planner.robot_model import Side
 from sim.engines import MUJOCO, Engine
+from sim.hardware import HardwareErrors
 from sim.robot import Robot
 from sim.scene import build_scene
 
@@ -62,12 +63,22 @@ def start_walks(
     threads: int = 1,
     engine: Engine = MUJOCO,
     record: tuple[str, ...] = (),
+    hardware: HardwareErrors | None = None,
 ) -> Walker:
     """`count` robots near half-sitting, each before its own sequence."""
     scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
-    walker = Walker(scene, count=count, threads=threads, record=record, engine=engine)
-    feet = scene.soles_at(scene.standing_qpos)
     rng = np.random.default_rng(seed)
+    drawn = 0 if hardware is None else int(rng.integers(2**31))
+    walker = Walker(
+        scene,
+        count=count,
+        threads=threads,
+        record=record,
+        engine=engine,
+        hardware=hardware,
+        seed=drawn,
+    )
+    feet = scene.soles_at(scene.standing_qpos)
     for row in range(count):
         qpos = scene.standing_qpos.copy()
         qpos[scene.joint_qpos] += JOINT_NOISE_RAD * rng.uniform(-1, 1, len(robot.joints))
