@@ -229,6 +229,7 @@ def test_evaluation_measures_every_value_and_shows_it(tmp_path):
         (["--hardware", "gain=x"], "'gain=x' is not NAME=VALUE"),
         (["--hardware", "gain=-1"], "gain -1.0 must be finite and not below 0"),
         (["--hardware", "gain=0.9", "--controller", "lipm"], "--hardware goes with"),
+        (["--hardware", "gain=0.9", "--view"], "no --view"),
     ],
 )
 def test_hardware_that_cannot_be(words, said, capsys):
