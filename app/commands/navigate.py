@@ -12,18 +12,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from app.controllers import ControllerOption, load_controlled
-from app.engines import EngineOptions, load_engine
+from app.controllers import load_controlled
 from app.navigation.report import NavigationReport, Outcome, PolicyFile
 from app.options import (
     FolderOption,
     GoalOptions,
     OptionalFile,
     OptionalFolder,
-    PaceOption,
-    PlanningOptions,
     Pose,
-    PushOption,
     Reach,
     Size,
     SizeOption,
@@ -41,7 +37,7 @@ from app.output import (
     write_text,
 )
 from app.ros.recording import Recorder, recording, require_recordable
-from app.sensing import SensingOptions, require_able
+from app.walk_options import WalkOptions
 from app.workers import compile_planner
 from controller.policy import own_policy_path
 from maps.grid import OccupancyGrid
@@ -57,22 +53,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NavigateOptions(EngineOptions, PlanningOptions, GoalOptions, SensingOptions):
+class NavigateOptions(WalkOptions, GoalOptions):
     """Plan footsteps to the goal, walk them in MuJoCo with the trained policy, and report.
 
     The robot plans again when a foot lands too far from its step. The exit code is 0 when the
     robot stands at the goal, 2 when the input is wrong, 3 when there is no plan, and 4 when there
     was a plan and the walk failed.
     """
-
-    controller: ControllerOption = "policy"
-    """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
-
-    pace: PaceOption = "normal"
-    """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
-
-    push: PushOption = 0.0
-    """Push the robot by so many N s every 3 to 5 seconds of the walk, from anywhere, such as 10."""
 
     out: FolderOption = Path("runs/navigate")
     """Folder for report.json, plan.json and path.png, such as runs/today; made when missing."""
@@ -135,14 +122,11 @@ def run(options: NavigateOptions) -> int:
         switch_gl_off()
     started = time.perf_counter()
     _require_reachable(options)
-    sensing = options.sensing()
-    if options.view and not (sensing is None and options.hardware is None):
+    if options.view and (options.sensed or options.hardware is not None):
         raise InputError("--sensed and --hardware are for walks that nobody steers: no --view")
     grid = read_grid(options)
-    robot, policy = load_controlled(options, options.controller, options.pace)
+    robot, policy, engine = options.load()
     by_model = options.controller == "lipm"
-    engine = load_engine(options, robot)
-    require_able(options, robot, controller=options.controller, engine=options.engine)
     # Before the walk and not after it.
     make_folder(options.out, option="--out")
     require_writable(options.html, option="--html", endings=(".html", ".htm"))
@@ -201,7 +185,7 @@ def walked(
 
     The recording is whole when the stack is left.
     """
-    from app.navigation.navigator import Navigator, NavigatorConfig
+    from app.navigation.navigator import Navigator
 
     navigator = Navigator(
         grid,
@@ -210,14 +194,7 @@ def walked(
         start=options.start,
         goal=options.goal,
         seed=options.seed,
-        config=NavigatorConfig(
-            planner=options.search,
-            pace=options.pace,
-            push_n_s=options.push,
-            sensing=options.sensing(),
-            engine=engine,
-            hardware=options.hardware,
-        ),
+        config=options.navigator_config(engine, options.search),
     )
     recorder = stack.enter_context(recording(navigator, record=options.record, bag=options.bag))
     plan = navigator.plan()

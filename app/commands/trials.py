@@ -14,17 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 
 from app.cluster import ClusterOption
-from app.controllers import ControllerOption, load_controlled
-from app.engines import EngineOptions, load_engine
 from app.evaluation.trials_summary import summarise, table
 from app.navigation.report import Outcome, installed_versions
 from app.options import (
     CountOption,
     FolderOption,
     OptionalFile,
-    PaceOption,
-    PlanningOptions,
-    PushOption,
     WorkersOption,
     find_robot_with_limits,
     number,
@@ -32,7 +27,7 @@ from app.options import (
 )
 from app.output import ExitCode, InputError, ProgressBar, claim_folder, say, to_json, write_text
 from app.ros.recording import recording, require_recordable
-from app.sensing import SensingOptions, require_able
+from app.walk_options import WalkOptions
 from app.workers import compile_planner, in_order
 from controller.policy import Policy
 from maps.files import from_json, read_json
@@ -54,7 +49,7 @@ DRAWS_PER_POSE = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialsOptions(EngineOptions, PlanningOptions, SensingOptions):
+class TrialsOptions(WalkOptions):
     """Walk between many random pairs of free poses on a map, and print how it went.
 
     Start and goal are drawn from all poses at which the robot can stand; the same seed gives
@@ -69,15 +64,6 @@ class TrialsOptions(EngineOptions, PlanningOptions, SensingOptions):
 
     reachable: bool = False
     """Draw only pairs between which the robot can walk facing ahead, by the width of the way."""
-
-    controller: ControllerOption = "policy"
-    """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
-
-    pace: PaceOption = "normal"
-    """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
-
-    push: PushOption = 0.0
-    """Push the robot by so many N s every 3 to 5 seconds of the walk, from anywhere, such as 10."""
 
     workers: WorkersOption = 0
     """Processes that walk, such as 2; 0 for all cores."""
@@ -110,11 +96,8 @@ class Trial:
 
 def run(options: TrialsOptions) -> int:
     """Carries the command out; returns the exit code."""
-    options.sensing()
     grid = read_grid(options)
-    robot, policy = load_controlled(options, options.controller, options.pace)
-    engine = load_engine(options, robot)
-    require_able(options, robot, controller=options.controller, engine=options.engine)
+    robot, policy, engine = options.load()
     claim_folder(options.out, option="--out")
     require_recordable(options.record, None)
     file, settings = options.out / TRIALS, settings_of(options, grid, robot, policy, engine.about)
@@ -272,10 +255,10 @@ def with_whole_paths(options: TrialsOptions) -> TrialsOptions:
 
 def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[str, Any]:
     """Plan and walk one pair."""
-    from app.navigation.navigator import Navigator, NavigatorConfig
+    from app.navigation.navigator import Navigator
     from planner.collision import terrain_of
 
-    robot, policy = load_controlled(options, options.controller, options.pace)
+    robot, policy, engine = options.load()
     planner = replace(options.planner_options(), seed=trial.seed)
     navigator = Navigator(
         grid,
@@ -284,14 +267,7 @@ def walk_one(grid: OccupancyGrid, options: TrialsOptions, trial: Trial) -> dict[
         start=trial.start,
         goal=trial.goal,
         seed=trial.seed,
-        config=NavigatorConfig(
-            planner=planner,
-            pace=options.pace,
-            push_n_s=options.push,
-            sensing=options.sensing(),
-            engine=load_engine(options, robot),
-            hardware=options.hardware,
-        ),
+        config=options.navigator_config(engine, planner),
     )
     file = options.record and options.record.with_stem(f"{options.record.stem}-{trial.number}")
     with recording(navigator, record=file, bag=None) as recorder:

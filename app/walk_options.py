@@ -1,4 +1,4 @@
-"""What the robot knows of itself, and how its hardware differs: options of the commands."""
+"""Who walks, in what world, and what the robot knows of it: options of the commands that walk."""
 
 from __future__ import annotations
 
@@ -7,11 +7,26 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any
 
-from app.options import Reach, ReachOption, number, text
+from app.controllers import ControllerOption, load_controlled
+from app.engines import EngineOptions, load_engine
+from app.options import (
+    PaceOption,
+    PlanningOptions,
+    PushOption,
+    Reach,
+    ReachOption,
+    find_robot,
+    number,
+    text,
+)
 from app.output import InputError
 
 if TYPE_CHECKING:
+    from app.navigation.navigator import NavigatorConfig
     from app.navigation.sensed import SensingConfig
+    from controller.walker import Controller
+    from planner.options import PlannerOptions
+    from sim.engines import Engine
     from sim.hardware import HardwareErrors
     from sim.robot import Robot
 
@@ -43,8 +58,17 @@ def parse_hardware(word: str) -> HardwareErrors:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SensingOptions:
-    """What the robot knows of itself."""
+class WalkOptions(EngineOptions, PlanningOptions):
+    """How steps are planned and walked."""
+
+    controller: ControllerOption = "policy"
+    """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
+
+    pace: PaceOption = "normal"
+    """How quickly to step, such as fast; turns and climbs are taken no faster than normal."""
+
+    push: PushOption = 0.0
+    """Push the robot by so many N s every 3 to 5 seconds of the walk, from anywhere, such as 10."""
 
     sensed: bool = False
     """Let the robot know what its joints, inertial unit and soles measure, and nothing else."""
@@ -99,19 +123,39 @@ class SensingOptions:
         )
         return SensingConfig(localization=localization)
 
+    def load(self) -> tuple[Robot, Controller, Engine]:
+        """The robot, what moves it, and the engine that simulates it.
 
-def require_able(options: SensingOptions, robot: Robot, *, controller: str, engine: str) -> None:
-    """Raises InputError where what is asked for is not held by this robot, controller or engine."""
-    if options.hardware is not None and controller != "policy":
-        raise InputError(f"--hardware goes with --controller policy, not with {controller}")
-    if options.hardware is not None and engine != "mujoco":
-        raise InputError(f"--hardware goes with --engine mujoco, not with {engine}")
-    if options.sensed and controller != "policy":
-        raise InputError(
-            f"--sensed goes with --controller policy: {controller} takes the true state"
-        )
-    if options.sensed and robot.passive:
-        raise InputError(
-            f"--sensed cannot tell where the feet of {robot.name} are: nothing measures its "
-            f"passive joints ({robot.passive[0].name}, ...)"
+        Raises:
+            InputError: There is none of that name, or they cannot do what is asked together.
+        """
+        if self.hardware is not None and self.controller != "policy":
+            raise InputError(f"--hardware goes with --controller policy, not {self.controller}")
+        if self.hardware is not None and self.engine != "mujoco":
+            raise InputError(f"--hardware goes with --engine mujoco, not with {self.engine}")
+        if self.sensed and self.controller != "policy":
+            raise InputError(
+                f"--sensed goes with --controller policy: {self.controller} takes the true state"
+            )
+        robot = find_robot(self.robot)
+        if self.sensed and robot.passive:
+            raise InputError(
+                f"--sensed cannot tell where the feet of {robot.name} are: nothing measures its "
+                f"passive joints ({robot.passive[0].name}, ...)"
+            )
+        self.sensing()
+        robot, controller = load_controlled(self, self.controller, self.pace)
+        return robot, controller, load_engine(self, robot)
+
+    def navigator_config(self, engine: Engine, planner: PlannerOptions) -> NavigatorConfig:
+        """What a navigator is told."""
+        from app.navigation.navigator import NavigatorConfig
+
+        return NavigatorConfig(
+            planner=planner,
+            pace=self.pace,
+            push_n_s=self.push,
+            sensing=self.sensing(),
+            engine=engine,
+            hardware=self.hardware,
         )
