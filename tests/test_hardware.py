@@ -70,15 +70,15 @@ def test_a_delay_of_a_period_is_the_command_before():
 
 
 def test_a_delay_within_a_period_is_so_many_physics_steps():
-    sim = in_the_air(scene())
-    before = np.tile(ROBOT.half_sitting_rad, (1, 1))
+    sim, before = in_the_air(scene()), ROBOT.half_sitting_rad[None]
     for number in range(2):
-        now, step = commands(number), iter(range(25))
-        old = before
-        sim.step_in_parts(
-            25, lambda _, now=now, old=old, step=step: now if next(step) >= 10 else old
-        )
-        before = now
+        in_turn = iter([before] * 10 + [commands(number)] * 15)
+
+        def in_force(_sensors, in_turn=in_turn):
+            return next(in_turn)
+
+        sim.step_in_parts(25, in_force)
+        before = commands(number)
     found = moved(HardwareErrors(delay_s=0.010), periods=2)
     np.testing.assert_allclose(found, sim.qpos[0], atol=1e-12)
 
@@ -151,9 +151,9 @@ def test_a_load_is_a_point_mass_on_the_pelvis():
 
     def about_origin(model: mujoco.MjModel) -> tuple[float, np.ndarray, np.ndarray]:
         """Mass, first and second moments (3, 3) of the pelvis about its frame's origin."""
-        axes = np.empty(9)
-        mujoco.mju_quat2Mat(axes, model.body_iquat[body])
-        axes = axes.reshape(3, 3)
+        flat = np.empty(9)
+        mujoco.mju_quat2Mat(flat, model.body_iquat[body])
+        axes = flat.reshape(3, 3)
         mass, at = model.body_mass[body], model.body_ipos[body]
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         return mass, mass * at, inertia + mass * (at @ at * np.eye(3) - np.outer(at, at))
