@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from app.commands import evaluate
 from app.commands.evaluate import SECTION_NAMES, EvaluateOptions
 from app.evaluation import limits, sections
 from app.evaluation.figures import FIGURES, write_figures
+from app.evaluation.hardware import HARDWARE
 from app.evaluation.limits import measured_of, sole_errors_m
 from app.evaluation.parts import EvaluationSetup, finite
 from app.evaluation.report_text import report
@@ -95,6 +97,8 @@ def test_every_section_end_to_end(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(sections, "TREAD_NOISE_M", (0.03,))
     monkeypatch.setattr(sections, "JOINT_NOISE_DEG", (3.0,))
     monkeypatch.setattr(sections, "LONG_WALK_S", 5.0)
+    gains = {"servo gains": replace(HARDWARE["servo gains"], values=(0.9,))}
+    monkeypatch.setattr(sections, "HARDWARE", gains)
     stored = tracking_limits_path(None, ROBOT)
     before = stored.read_bytes() if stored.exists() else None
     assert main([*WORDS, "--json", "--out", str(tmp_path)]) == 0
@@ -382,6 +386,25 @@ def made_up_evaluation(scale: float, **who) -> dict:
         "pace": [
             {**walks, "step_s": 1.1, "step_m": 0.3, "speed_m_s": 0.28},
             {**walks, "step_s": 0.5, "step_m": 0.3, "falls": 8, "speed_m_s": None},
+        ],
+        "hardware": [
+            {
+                **walks,
+                "what": "delay",
+                "value": 5.0,
+                "unit": "ms",
+                "error_m_median": 0.01 * scale,
+                "error_m_p95": 0.02 * scale,
+            },
+            {
+                **walks,
+                "what": "grip",
+                "value": 0.1,
+                "unit": "times the model's friction",
+                "falls": 8,
+                "error_m_median": None,
+                "error_m_p95": None,
+            },
         ],
         "long": {"walks": 8, "seconds": 60.0, "falls": 1, "fell_at_s": [12.0]},
     }

@@ -235,3 +235,9 @@ def test_evaluation_measures_every_value_and_shows_it(tmp_path):
 def test_hardware_that_cannot_be(words, said, capsys):
     assert main(["navigate", "--map", "maps/room.png", "--goal", "1,0,0", *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_evaluation_of_a_controller_by_a_model_has_no_such_section(tmp_path, capsys):
+    words = ["--controller", "lipm", "--sections", "hardware", "--out", str(tmp_path / "out")]
+    assert main(["evaluate", *words]) == 2
+    assert "--sections hardware goes with --controller policy" in capsys.readouterr().err

@@ -199,6 +199,11 @@ def _measure(
     found = {part.name: kept.read(part) for part in parts}
     results |= {name: result for name, result in found.items() if result is not None}
     wanted = [part for part in parts if part.section in options.sections]
+    if not wanted:
+        raise InputError(
+            f"--sections {','.join(options.sections)} goes with --controller policy and --engine "
+            "mujoco: nothing else holds it"
+        )
     missing = [part for part in wanted if part.name not in results]
     if len(missing) < len(wanted):
         say(f"{len(wanted) - len(missing)} of {len(wanted)} parts are there already")
