@@ -34,14 +34,7 @@ class Variation:
         pelvis_com_m: np.ndarray,
         gain: np.ndarray,
     ) -> None:
-        """Set all simulations.
-
-        Args:
-            friction: factor (B,) of all sliding friction.
-            mass: factor (B,) of all masses and inertias.
-            pelvis_com_m: offset (B, 3) of the pelvis body's centre of mass.
-            gain: factor (B,) of the servos' stiffness and damping.
-        """
+        """Set all simulations; see `sim.simulation.Variation.set`."""
         fields, nominal = self._fields, self._nominal
         fields["geom_friction"][:] = nominal["geom_friction"]
         fields["geom_friction"][..., 0] *= friction[:, None]

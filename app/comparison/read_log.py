@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from app.output import InputError, as_bad_input
-from sim.identification.robot_log import LogError, RobotLog, checked
+from sim.identification.robot_log import LogError, RobotLog, checked, continuous
 from sim.scene import Scene
 
 TIME, SENT = "time_s", "sent_s"
@@ -148,8 +148,6 @@ def _from_mcap(path: Path, scene: Scene) -> tuple[RobotLog, dict[str, str]]:
     for name, values in ((topic, quat), (topic, rates), (STATES, position), (TARGETS, target)):
         if not np.isfinite(values).all():
             raise InputError(f"{path}: {name} has numbers that are not finite")
-    # Signs of quaternions may jump, which must not come between two of them.
-    flips = np.cumsum([False, *((quat[1:] * quat[:-1]).sum(axis=1) < 0)]) % 2
     kept = (state_s >= pelvis_s[0]) & (state_s <= pelvis_s[-1])
 
     def at_states(values: np.ndarray) -> np.ndarray:
@@ -159,7 +157,7 @@ def _from_mcap(path: Path, scene: Scene) -> tuple[RobotLog, dict[str, str]]:
     log = RobotLog(
         time_s=state_s[kept],
         joint_pos_rad=position[kept],
-        quat_world_pelvis=at_states(quat * np.where(flips, -1.0, 1.0)[:, None]),
+        quat_world_pelvis=at_states(continuous(quat)),
         angvel_rad_s=at_states(rates),
         accel_m_s2=None if accel is None else at_states(accel),
         sent_s=sent_s,

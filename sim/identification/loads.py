@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from sim.identification.robot_log import RobotLog
+from sim.identification.robot_log import RobotLog, continuous
 from sim.robot import GRAVITY_M_S2
 from sim.scene import Scene
 from sim.sensors import SIDES
@@ -79,7 +79,7 @@ def loads_along(log: RobotLog, scene: Scene, *, hanging: bool) -> Loads:
     at_s = np.arange(log.time_s[0], log.time_s[-1], GRID_S)
     pos, vel, acc = smoothed(log.time_s, log.joint_pos_rad, at_s)
     angvel, angacc, _ = smoothed(log.time_s, log.angvel_rad_s, at_s)
-    quat = smoothed(log.time_s, _continuous(log.quat_world_pelvis), at_s)[0]
+    quat = smoothed(log.time_s, continuous(log.quat_world_pelvis), at_s)[0]
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
     swings, linacc = np.full((len(at_s), 2), True), np.zeros((len(at_s), 2, 3))
     if not hanging:
@@ -141,12 +141,6 @@ def loads_along(log: RobotLog, scene: Scene, *, hanging: bool) -> Loads:
         stiffness_nm_rad=stiffness,
         swings=swings,
     )
-
-
-def _continuous(quat: np.ndarray) -> np.ndarray:
-    """Quaternions (N, 4) of the same orientations whose signs do not jump."""
-    flips = (quat[1:] * quat[:-1]).sum(axis=1) < 0
-    return quat * np.where(np.cumsum([False, *flips]) % 2, -1.0, 1.0)[:, None]
 
 
 def _soles(scene: Scene, quat: np.ndarray, pos: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -151,6 +151,12 @@ def _check_pelvis(log: RobotLog, named: dict[str, str]) -> None:
         )
 
 
+def continuous(quat: np.ndarray) -> np.ndarray:
+    """Quaternions (N, 4) of the same orientations whose signs do not jump."""
+    flips = (quat[1:] * quat[:-1]).sum(axis=1) < 0
+    return quat * np.where(np.cumsum([False, *flips]) % 2, -1.0, 1.0)[:, None]
+
+
 def turning(time_s: np.ndarray, quat: np.ndarray) -> np.ndarray:
     """Angular velocity (N - 1, 3) in the body's axes between orientations (N, 4), rad/s."""
     w, xyz = quat[:, :1], quat[:, 1:]
