@@ -110,6 +110,8 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
             history=from_json(document["history"]),
             learner=document["learner"],
         )
+    except TrainingError:
+        raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TrainingError(f"{path} is damaged: {error!r}") from error
 
