@@ -21,6 +21,12 @@ from app.output import ExitCode, InputError, one_line, release_folders, told_by_
 from maps.yaml_files import YamlFileError
 
 PROGRAM = "python main.py"
+# What the system says of a full disk, and of a path that it refuses whatever is done with it.
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_REFUSED = {
+    *(errno.ENAMETOOLONG, errno.ELOOP, errno.EACCES, errno.EPERM, errno.EROFS),
+    *(errno.EMFILE, errno.ENFILE, errno.EIO),
+}
 
 
 @dataclass(frozen=True)
@@ -120,8 +126,8 @@ def load_run(name: str) -> tuple[Callable[[Any], int], type[Any]]:
 def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
     """Runs the command line and returns the exit code; `program` is how it was called.
 
-    Wrong input, Ctrl-C and SIGTERM end in one line on standard error. Anything else that is raised
-    is a fault of the program and keeps its traceback.
+    Wrong input, Ctrl-C, SIGTERM and files that the system refuses end in one line on standard
+    error. Anything else that is raised is a fault of the program and keeps its traceback.
     """
     _open_streams()
     stops: list[type[KeyboardInterrupt]] = []
@@ -143,13 +149,16 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
         _leave_output()
         return ExitCode.DONE
     except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            if stops:
-                return _stopped(stops[0])
+        if error.errno in _FULL:
+            where = one_line(error.filename or "standard output")
+            _tell(f"error: cannot write {where}: {error.strerror}")
+            _leave_output()
+            return ExitCode.BAD_INPUT
+        if stops:
+            return _stopped(stops[0])
+        if error.errno not in _REFUSED or error.filename is None:
             raise
-        where = error.filename or "standard output"
-        _tell(f"error: cannot write {where}: {error.strerror}")
-        _leave_output()
+        _tell(f"error: cannot use {one_line(error.filename)}: {error.strerror}")
         return ExitCode.BAD_INPUT
     except Exception:
         # A library that is being imported makes an ImportError of what a signal raises in it.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import random
 from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 # Whether a word is absurd depends on where it stands: each is tried everywhere.
@@ -139,6 +141,48 @@ def odd_json(text: str, draw: random.Random) -> bytes:
     if how < 0.33:
         return b"[" * 100_000
     return json.dumps(odd_document(json.loads(text), draw)).encode("utf-8", "surrogatepass")
+
+
+def odd_state(value: Any, draw: random.Random) -> Any:
+    """The state of a training run in which something, somewhere, is another, or is gone."""
+    if isinstance(value, dict) and value and draw.random() < 0.95:
+        key = draw.choice(list(value))
+        if draw.random() < 0.1:
+            return {k: v for k, v in value.items() if k != key}
+        return {**value, key: odd_state(value[key], draw)}
+    if isinstance(value, list | tuple) and value and draw.random() < 0.8:
+        at = draw.randrange(len(value))
+        return type(value)([*value[:at], odd_state(value[at], draw), *value[at + 1 :]])
+    if isinstance(value, str) and value.startswith(("{", "[")) and draw.random() < 0.8:
+        try:
+            return odd_json(value, draw).decode("utf-8", "replace")
+        except ValueError:  # it is damaged already
+            return damaged(value.encode(), draw).decode("utf-8", "replace")
+    if isinstance(value, torch.Tensor) and draw.random() < 0.9:
+        return odd_tensor(value, draw)
+    return odd_document(value if isinstance(value, int | float | str) else None, draw)
+
+
+def odd_tensor(tensor: torch.Tensor, draw: random.Random) -> torch.Tensor:
+    """A tensor with one number, the shape or the type changed, or one that claims far more."""
+    one, number = tensor.clone(), draw.choice((math.nan, math.inf, -math.inf, -1.0, 1e30, 0.0))
+    if one.numel():
+        one.view(-1)[draw.randrange(one.numel())] = number
+    odd = (
+        one,
+        one,
+        torch.full_like(tensor, number),
+        tensor.reshape(-1)[:-1].clone(),
+        tensor[None],
+        tensor.reshape(tensor.shape[::-1]).clone(),
+        tensor.double(),
+        tensor.long(),
+        tensor.to_sparse(),
+        torch.zeros(()),
+        torch.zeros(1).expand(10**10),
+        torch.zeros(1).expand(tensor.shape),
+    )
+    return draw.choice(odd)
 
 
 def odd_yaml(text: str, draw: random.Random) -> bytes:

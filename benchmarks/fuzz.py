@@ -1,11 +1,12 @@
 """Damaged and absurd input by the thousand: `python -m benchmarks.fuzz --count N --seed S`.
 
-Every try takes something that works (a map, its YAML, a plan, a corpus, a policy, trials to resume,
-a command line), damages it and gives it to a command, or to the reader of plans, in a process of
-its own that is a copy of this one. Right is: exit code 0, 2, 3 or 4; where it is 2 one line that
-begins with `error:`; warnings in one line each; no traceback; at most CPU_S of processor time to
-refuse, and MEMORY_MB beyond this process. What is accepted may go on for ACCEPTED_S, and is then
-ended. A try depends on the seed and its number alone: `--only NUMBER` repeats it.
+Every try takes something that works (a map, its YAML, a plan, a corpus, a policy, trials or a
+training run to resume, a command line), damages it and gives it to a command, or to the reader of
+plans, in a process of its own that is a copy of this one. Right is: exit code 0, 2, 3 or 4; where
+it is 2 one line that begins with `error:`; warnings in one line each; no traceback; at most CPU_S
+of processor time to refuse, and MEMORY_MB beyond this process. What is accepted may go on for
+ACCEPTED_S, and is then ended. A try depends on the seed and its number alone: `--only NUMBER`
+repeats it.
 Prints what was answered badly, and exits with 1 if anything was.
 """
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 import random
 import shutil
 import sys
@@ -24,12 +26,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 import tyro
 
 from app.cli import COMMANDS, load_run, main
 from app.output import ExitCode
-from benchmarks.copies import Answer, run_copy
-from benchmarks.damage import ODD, damaged, odd_json, odd_picture, odd_yaml
+from benchmarks.copies import Answer, run_copy, start_copy, written
+from benchmarks.damage import ODD, damaged, odd_json, odd_picture, odd_state, odd_yaml
+from benchmarks.short_training import WORDS as TRAIN
+from benchmarks.short_training import shorten_training
 from controller.policy import POLICY_FOLDER
 from planner.plan import FootstepPlan
 
@@ -189,6 +194,28 @@ def try_trials(folder: Path, draw: random.Random) -> list[str]:
     return [*TRIALS, "--out", str(folder), "--resume"]
 
 
+def try_checkpoint(folder: Path, draw: random.Random) -> list[str]:
+    """`train` that goes on with a damaged checkpoint, or with one of another robot."""
+    checkpoint = _kept("checkpoint.pt")
+    if draw.random() < 0.4:
+        checkpoint = damaged(checkpoint, draw)
+    else:
+        document = torch.load(io.BytesIO(checkpoint), weights_only=True)
+        for _ in range(draw.choice((1, 1, 1, 3))):
+            document = odd_state(document, draw)
+        file = io.BytesIO()
+        torch.save(document, file)
+        checkpoint = file.getvalue()
+    (folder / "run").mkdir()
+    (folder / "corpus").mkdir()
+    (folder / "run" / "checkpoint.pt").write_bytes(checkpoint)
+    for name in ("plans.npz", "manifest.json"):
+        (folder / "corpus" / name).write_bytes(_kept(name))
+    robot = "hrp5p" if draw.random() < 0.05 else "jvrc1"
+    places = ["--corpus", str(folder / "corpus"), "--out", str(folder / "run")]
+    return [*TRAIN, "--robot", robot, *places, "--resume"]
+
+
 TRIALS = [
     "trials",
     "--map",
@@ -231,6 +258,7 @@ KINDS: dict[str, Callable[[Path, random.Random], list[str]]] = {
     "plan": try_plan,
     "corpus": try_corpus,
     "trials": try_trials,
+    "checkpoint": try_checkpoint,
     "words": try_words,
 }
 _KEPT: dict[str, bytes] = {}
@@ -240,11 +268,21 @@ def _kept(name: str) -> bytes:
     return _KEPT[name]
 
 
+FILES = (
+    "plan.json",
+    "corpus/plans.npz",
+    "corpus/manifest.json",
+    "trials/trials.json",
+    "run/checkpoint.pt",
+)
+
+
 def prepare(folder: Path) -> None:
     """Makes what is damaged later, and lets the copies of this process find all imported."""
     import controller.runner  # noqa: F401  that is torch
 
     cv2.setNumThreads(1)
+    shorten_training()
     room = ["--map", str(MAPS / "room.png"), *GOAL]
     with contextlib.redirect_stdout(sys.stderr):
         main(["plan", *room, "--out", str(folder / "plan.json")])
@@ -253,7 +291,13 @@ def prepare(folder: Path) -> None:
         main(["dataset", "check", str(folder / "corpus"), "--workers", "1"])
         main([*TRIALS, "--out", str(folder / "trials")])
         main(["export", "--out", str(folder / "policy.onnx")])
-    for file in ("plan.json", "corpus/plans.npz", "corpus/manifest.json", "trials/trials.json"):
+    # In a copy: where torch has begun threads of its own, copies would wait for them for ever.
+    run_folder = folder / "run"
+    train = [*TRAIN, "--corpus", str(folder / "corpus"), "--out", str(run_folder)]
+    run_folder.mkdir()
+    _, status = os.waitpid(start_copy(lambda: main(train), run_folder), 0)
+    assert status == 0, written(run_folder)
+    for file in FILES:
         _KEPT[Path(file).name] = (folder / file).read_bytes()
 
 

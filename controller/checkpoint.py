@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -93,6 +94,9 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     try:
         with path.open("rb") as file:
             check_unpacked(file)
+            with zipfile.ZipFile(file) as archive:
+                if archive.testzip() is not None:  # torch does not look at the checksums
+                    raise zipfile.BadZipFile
         # To the CPU: a run on a GPU may go on without one.
         document = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
@@ -103,17 +107,36 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
     try:
         _check_config(folder, config, from_json(document["config"]))
         _check_layout(path, robot, from_json(document.get("layout", "null")))
-        return Checkpoint(
+        state = Checkpoint(
             segment=document["segment"],
             stage=Stage(**document["stage"]),
             best_score=tuple(document["best_score"]),
             history=from_json(document["history"]),
             learner=document["learner"],
         )
+        _check_progress(config, state)
+        return state
     except TrainingError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise TrainingError(f"{path} is damaged: {error!r}") from error
+
+
+def _check_progress(config: TrainConfig, state: Checkpoint) -> None:
+    """Raises ValueError or TypeError for what no run of these settings comes to."""
+    if state.segment != len(state.history) or type(state.segment) is not int:
+        raise ValueError(f"segment {state.segment!r} with a history of {len(state.history)}")
+    for line in state.history:
+        if not line.keys() >= {"assess", "assess_stairs", "rise_m"}:
+            raise ValueError("a segment that was not assessed")
+    for value, most in (
+        (state.stage.rise_m, config.curriculum.top_rise_m),
+        (state.stage.disturbance_level, 1.0),
+    ):
+        if not 0 <= value <= most:
+            raise ValueError(f"{value} is not from 0 to {most}, in {state.stage}")
+    if not all(isinstance(part, int | float) and part == part for part in state.best_score):
+        raise ValueError(f"a best score of {state.best_score}")
 
 
 def _check_config(folder: Path, config: TrainConfig, theirs: Mapping[str, Any]) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import io
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -200,6 +201,59 @@ def set_progress(ppo: PPO, config: PpoConfig, share: float) -> None:
         group["lr"] = ppo.learning_rate
     with torch.no_grad():
         ppo.actor.distribution.std_param.fill_(between(config.action_std_rad))
+
+
+def load_learner(ppo: PPO, state: Mapping[str, Any]) -> None:
+    """Take up the state that `ppo.save()` gave of a learner of the same networks.
+
+    Raises:
+        ValueError, LookupError, TypeError, AttributeError: it is not of the same networks, or not
+            whole.
+        FloatingPointError: it holds numbers that no training gives: nan, inf or negative squares.
+    """
+    mine = ppo.save()
+    models, optimizer = ("actor_state_dict", "critic_state_dict"), state["optimizer_state_dict"]
+    for model in models:
+        _check_tensors(state[model], mine[model])
+    (group,), (theirs,) = ppo.optimizer.param_groups, optimizer["param_groups"]
+    # The learning rate follows from the share of the run that is done: `set_progress`.
+    kept = group.keys() & theirs.keys() - {"params", "lr"}
+    if any(type(theirs[key]) is not type(group[key]) for key in kept) or any(
+        theirs[key] != group[key] for key in kept
+    ):
+        raise ValueError("its optimizer has other settings")
+    numbers = mine["optimizer_state_dict"]["param_groups"][0]["params"]
+    if theirs["params"] != numbers or not isinstance(theirs["lr"], float):
+        raise ValueError("its optimizer has other parameters")
+    for number, moments in optimizer["state"].items():
+        parameter = group["params"][numbers.index(number)]
+        squares = torch.zeros_like(parameter)
+        _check_tensors(
+            moments,
+            {"step": torch.tensor(0.0), "exp_avg": squares, "exp_avg_sq": squares},
+        )
+        if min(moments["step"].item(), moments["exp_avg_sq"].min().item()) < 0:
+            raise FloatingPointError("its optimizer holds negative squares")
+    ppo.load(state, None, True)
+
+
+def _check_tensors(theirs: Mapping[str, torch.Tensor], mine: Mapping[str, torch.Tensor]) -> None:
+    """Holds tensors to names, shapes and types before their numbers are read.
+
+    A small file can claim tensors of any size.
+    """
+    if theirs.keys() != mine.keys():
+        raise ValueError("its networks have other parts")
+    for name, wanted in mine.items():
+        tensor = theirs[name]
+        if (tensor.shape, tensor.dtype, tensor.layout) != (
+            wanted.shape,
+            wanted.dtype,
+            wanted.layout,
+        ):
+            raise ValueError(f"its {name} is {tuple(tensor.shape)}, not {tuple(wanted.shape)}")
+    if not all(bool(torch.isfinite(tensor).all()) for tensor in theirs.values()):
+        raise FloatingPointError("it holds numbers that are not finite")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,7 @@ from controller.checkpoint import (
 from controller.curriculum import Stage
 from controller.env import Transition, WalkTask
 from controller.policy import Policy, policy_for, save_policy
-from controller.ppo import RslWalkEnv, TrainConfig, make_ppo, set_progress
+from controller.ppo import RslWalkEnv, TrainConfig, load_learner, make_ppo, set_progress
 from controller.ranks import Ranks
 from controller.step_sequences import PlannedSteps
 from sim.robot import Robot
@@ -357,8 +357,10 @@ class Trainer:
             lambda: read_checkpoint(self.out, self.config, self.robot),
         )
         try:
-            self.ppo.load(state.learner, None, True)
-        except (RuntimeError, KeyError, ValueError) as error:  # shapes differ, or parts are missing
+            load_learner(self.ppo, state.learner)
+        except FloatingPointError as error:
+            raise TrainingError(f"the checkpoint in {self.out} is damaged: {error}") from error
+        except (ValueError, LookupError, TypeError, AttributeError, RuntimeError) as error:
             raise TrainingError(
                 f"the checkpoint in {self.out} is from another layout: its networks do not fit "
                 f"{self.robot.name} as it is now"

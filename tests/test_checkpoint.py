@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -137,7 +138,7 @@ def trainer(tmp_path_factory):
 @pytest.fixture
 def saved(trainer):
     """The trainer with its checkpoint as it was at the start."""
-    trainer.segment = 0
+    trainer.segment, trainer.history = 0, []
     trainer.save_checkpoint()
     return trainer
 
@@ -191,11 +192,95 @@ def test_networks_of_another_size_are_refused(saved):
         ({"stage": {"rise": 0.1}}, "is damaged"),
         ({"config": "{"}, "is damaged"),
         ({"learner": {}}, "its networks do not fit"),
+        ({"learner": "none"}, "its networks do not fit"),
+        ({"segment": 10**30}, "is damaged"),
+        ({"segment": -1}, "is damaged"),
+        ({"segment": False}, "is damaged"),
+        ({"segment": 1, "history": "[{}]"}, "a segment that was not assessed"),
+        ({"segment": 1, "history": "[1]"}, "is damaged"),
+        ({"stage": {"rise_m": math.nan, "disturbance_level": 0.0}}, "nan is not from 0 to 0.15"),
+        ({"stage": {"rise_m": 0.2, "disturbance_level": 0.0}}, "0.2 is not from 0 to 0.15"),
+        ({"stage": {"rise_m": "high", "disturbance_level": 0.0}}, "is damaged"),
+        ({"best_score": [math.nan]}, "a best score of (nan,)"),
+        ({"best_score": "good"}, "a best score of"),
     ],
 )
 def test_damaged_checkpoint_is_refused(saved, values, told):
     change(saved, **values)
     assert told in refusal(saved)
+
+
+def with_moments(trainer):
+    """The learner as its checkpoint has it once it has trained."""
+    for group in trainer.ppo.optimizer.param_groups:
+        for parameter in group["params"]:
+            parameter.grad = torch.zeros_like(parameter)
+    trainer.ppo.optimizer.step()
+    trainer.save_checkpoint()
+    return torch.load(trainer.out / CHECKPOINT, weights_only=True)["learner"]
+
+
+def test_learner_that_has_trained_is_taken_up(saved):
+    learner = with_moments(saved)
+    assert learner["optimizer_state_dict"]["state"]
+    saved.resume()
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("part", ["actor_state_dict", "critic_state_dict"])
+def test_weights_that_are_not_finite_are_refused(saved, part, number):
+    learner = with_moments(saved)
+    next(w for w in learner[part].values() if w.ndim == 2)[3, 5] = number
+    change(saved, learner=learner)
+    assert "it holds numbers that are not finite" in refusal(saved)
+
+
+@pytest.mark.parametrize(
+    ("moment", "tensor", "told"),
+    [
+        ("exp_avg_sq", lambda was: -torch.ones_like(was), "negative squares"),
+        ("exp_avg", lambda was: was * math.nan, "not finite"),
+        ("step", lambda was: was * math.inf, "not finite"),
+        ("exp_avg", lambda was: was[..., :-1], "do not fit"),
+        ("exp_avg", lambda was: was.double(), "do not fit"),
+        ("exp_avg", lambda was: was.to_sparse(), "do not fit"),
+        ("exp_avg", lambda was: torch.zeros(1).expand(10**10), "do not fit"),
+        ("exp_avg", lambda was: None, "do not fit"),
+        ("other", lambda was: torch.zeros(1), "do not fit"),
+    ],
+)
+def test_moments_that_no_training_gives_are_refused(saved, moment, tensor, told):
+    learner = with_moments(saved)
+    moments = next(iter(learner["optimizer_state_dict"]["state"].values()))
+    moments[moment] = tensor(moments.get(moment))
+    change(saved, learner=learner)
+    assert told in refusal(saved)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("betas", (0.9, math.nan)), ("eps", "small"), ("lr", None), ("params", [0]), ("amsgrad", 1)],
+)
+def test_optimizers_with_other_settings_are_refused(saved, name, value):
+    learner = with_moments(saved)
+    learner["optimizer_state_dict"]["param_groups"][0][name] = value
+    change(saved, learner=learner)
+    assert "do not fit" in refusal(saved)
+
+
+def test_bits_that_changed_in_the_weights_are_noticed(saved):
+    """Torch reads such a file: only the checksums in it tell."""
+    path = saved.out / CHECKPOINT
+    content = bytearray(path.read_bytes())
+    weights = next(
+        w
+        for w in torch.load(path, weights_only=True)["learner"]["actor_state_dict"].values()
+        if w.ndim == 2
+    )
+    content[content.index(weights.numpy().tobytes()) + 10] ^= 1
+    path.write_bytes(content)
+    torch.load(path, weights_only=True)
+    assert "it is damaged or no checkpoint" in refusal(saved)
 
 
 def test_file_that_is_no_checkpoint_is_refused(saved):
@@ -223,6 +308,7 @@ def run_of(trainer, monkeypatch, writes):
 
     def segment(writer):
         trainer.segment += 1
+        trainer.history.append({"assess": {}, "assess_stairs": [], "rise_m": 0.0})
         return SimpleNamespace(best=True)
 
     real = Path.write_bytes

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import functools
+import os
 import signal
 import subprocess
 import sys
@@ -11,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import app.commands.plan
 from app.cli import COMMANDS, main, overview
 from app.output import ExitCode
 from tests.programs import ROOM, ROOT, interrupted, refusal, run_python, write_map
@@ -122,6 +125,49 @@ def test_unknown_cells_block_unless_said_otherwise(unplanned, map_of):
     words = ("--map", map_of(205), "--goal", "1,0,0")
     assert "start_blocked" in unplanned(*words)
     assert main(("plan", *words, "--unknown-is-free")) == ExitCode.DONE
+
+
+LONG = "9" * 400
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["plan", "--map", LONG, "--goal", "1,1,0"],
+        ["plan", "--map", str(ROOM), "--goal", "1,1,0", "--robot", LONG],
+        ["plan", "--map", str(ROOM), "--goal", "1,1,0", "--step-model", LONG],
+        ["navigate", "--map", str(ROOM), "--goal", "1,1,0", "--policy", LONG],
+        ["export", "--policy", LONG, "--out", "policy.onnx"],
+        ["export", "--out", f"{LONG}/policy.onnx"],
+        ["dataset", "check", LONG],
+        ["evaluate", "--policy", LONG, "--out", "evaluation"],
+        ["trials", "--map", str(ROOM), "--count", "1", "--out", LONG],
+        ["train", "--out", LONG, "--resume"],
+        ["robot", "check", LONG],
+    ],
+)
+def test_a_path_that_the_system_refuses_to_look_up(refused, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert "File name too long" in refused(*words)
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EMFILE, errno.EIO])
+def test_a_file_that_the_system_refuses(refused, monkeypatch, number):
+    def refuse(options: app.commands.plan.PlanOptions):
+        raise OSError(number, os.strerror(number), "place/file")
+
+    monkeypatch.setattr(app.commands.plan, "run", refuse)
+    told = refused("plan", "--map", "m.png", "--goal", "1,1,0")
+    assert f"place/file: {os.strerror(number)}" in told
+
+
+def test_an_error_of_the_system_that_names_no_file_is_a_fault(monkeypatch):
+    def fail(options: app.commands.plan.PlanOptions):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(app.commands.plan, "run", fail)
+    with pytest.raises(PermissionError):
+        main(["plan", "--map", "m.png", "--goal", "1,1,0"])
 
 
 def test_no_command_and_an_unknown_one(refused):
