@@ -68,7 +68,8 @@ TIMES = ("time_s", "time_to_first_s", "planning_time_s", "wall_time_s", "compile
 # Logs that begin anew with a run that goes on, and the state of one, with the times in it.
 VARYING = (".pt", ".html")
 LOGS = "tensorboard"
-WAIT_S = 60.0
+# Far more than a process needs that ends with another one: it may import first, slowly.
+WAIT_S = 180.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,8 +237,13 @@ class Bench:
         left = members(child)
         if not left:
             return []
+        told = []
+        for process in left:
+            with contextlib.suppress(OSError):
+                words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+                told.append(b" ".join(words).decode(errors="replace")[:200])
         os.killpg(child, signal.SIGKILL)
-        return [f"{len(left)} processes were left"]
+        return [f"left after {WAIT_S:g} s: {process}" for process in told]
 
     def _wrong_at_once(
         self, folder: Path, how: str, code: int, before: dict[str, bytes]

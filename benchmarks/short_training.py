@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 
-import controller.ppo
-
 # Three segments of one update each, of two robots.
 WORDS = ["train", "--samples", "300", "--simulations", "2", "--workers", "1"]
 
@@ -16,6 +14,8 @@ def shorten_training() -> None:
     No option of the command does: a segment of 20 updates and an assessment of 128 episodes take
     minutes.
     """
+    import controller.ppo  # not above: workers of those benchmarks need no torch
+
     controller.ppo.TrainConfig = functools.partial(  # type: ignore[misc,assignment]
         controller.ppo.TrainConfig, updates_per_segment=1, assess_episodes=2
     )

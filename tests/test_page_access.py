@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import math
 import random
 import re
 import time
 from collections.abc import Iterator
+from typing import Any
 
+import msgspec
 import pytest
 import viser
 from websockets.exceptions import ConnectionClosed
@@ -133,6 +136,27 @@ def test_every_link_has_a_key_of_its_own(public):
         other.stop()
 
 
+def said_when(server: PageServer, capfd: pytest.CaptureFixture[str], data: str | bytes) -> str:
+    """What is said when a page sends this, by which its socket must end."""
+    url = f"ws://127.0.0.1:{server.get_port()}"
+    capfd.readouterr()
+    with connect(url, subprotocols=[PROTOCOL], max_size=None) as page:
+        page.send(data)
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                page.recv(timeout=60)  # what a page gets first; no end is a TimeoutError
+    told = ""
+    for _ in range(200):  # the server may tell of it when the socket is closed already
+        told += capfd.readouterr().err
+        if told:
+            break
+        time.sleep(0.05)
+    assert told.startswith("warning: "), data[:40]
+    assert told.count("\n") == 1
+    assert "Traceback" not in told
+    return told
+
+
 def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
     draw = random.Random(1)
     nonsense: list[str | bytes] = [
@@ -147,20 +171,113 @@ def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
         bytes(5 * 1024 * 1024),
     ]
     for data in nonsense:
-        url = f"ws://127.0.0.1:{local.get_port()}"
-        capfd.readouterr()
-        with connect(url, subprotocols=[PROTOCOL], max_size=None) as page:
-            page.send(data)
-            with contextlib.suppress(ConnectionClosed):
-                while True:
-                    page.recv(timeout=60)  # what a page gets first; no end is a TimeoutError
-        told = ""
-        for _ in range(200):  # the server may tell of it when the socket is closed already
-            told += capfd.readouterr().err
-            if told:
+        said_when(local, capfd, data)
+    assert answer(local, Host=f"127.0.0.1:{local.get_port()}").status == 200
+
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (0.0, -5.0, 5.0),
+    "fov": 0.9,
+    "near": 0.01,
+    "far": 1000.0,
+    "image_height": 600,
+    "image_width": 900,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("position", (0.0, math.nan, 1.0)), ("fov", math.inf), ("look_at", (1e300, 0.0, 0.0))],
+)
+def test_numbers_that_are_not_finite_end_the_socket(local, capfd, field, value):
+    told = said_when(local, capfd, msgspec.msgpack.encode({**CAMERA, field: value}))
+    assert "the number" in told
+
+
+@pytest.fixture(scope="module")
+def controls(local) -> dict[str, Any]:
+    gui = local.gui
+    return {
+        "number": gui.add_number("number", 0.5),
+        "slider": gui.add_slider("slider", 0.0, 1.0, 0.1, 0.5),
+        "text": gui.add_text("text", "as it was"),
+        "switch": gui.add_checkbox("switch", initial_value=True),
+        "choice": gui.add_dropdown("choice", ["one", "two"]),
+        "vector": gui.add_vector3("vector", (1.0, 2.0, 3.0)),
+    }
+
+
+def change(controls: dict[str, Any], name: str, **updates: Any) -> bytes:
+    """The message with which a page changes a control."""
+    uuid = controls[name]._impl.uuid
+    return msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
+
+
+@pytest.mark.parametrize(
+    ("name", "updates"),
+    [
+        ("number", {"value": math.nan}),
+        ("number", {"value": "1"}),
+        ("number", {"value": True}),
+        ("slider", {"value": None}),
+        ("text", {"value": 3}),
+        ("text", {"value": "x" * 200_000}),
+        ("switch", {"value": "yes"}),
+        ("choice", {"value": ["one"]}),
+        ("vector", {"value": [1.0, 2.0]}),
+        ("vector", {"value": [1.0, 2.0, "3"]}),
+        ("vector", {"value": [1.0, 2.0, math.inf]}),
+        ("number", {"update_cb": []}),
+        ("number", {"value": 1.0, "removed": True}),
+        ("number", {}),
+    ],
+)
+def test_values_that_no_page_gives_a_control_end_the_socket(local, controls, capfd, name, updates):
+    before = controls[name].value
+    said_when(local, capfd, change(controls, name, **updates))
+    assert controls[name].value == before
+    assert controls[name]._impl.update_cb == []
+    assert not controls[name]._impl.removed
+
+
+def test_choices_that_are_gone_are_passed_over_and_others_are_taken(local, controls):
+    url = f"ws://127.0.0.1:{local.get_port()}"
+    with connect(url, subprotocols=[PROTOCOL], max_size=None) as page:
+        page.send(change(controls, "choice", value="three"))
+        page.send(change(controls, "slider", value=1.5))
+        page.send(change(controls, "choice", value="two"))
+        page.send(change(controls, "vector", value=[4, 5, 6]))
+        page.send(change(controls, "number", value=2))
+        for _ in range(1000):
+            if controls["number"].value == 2.0:
                 break
             time.sleep(0.05)
-        assert told.startswith("warning: "), data[:40]
-        assert told.count("\n") == 1
-        assert "Traceback" not in told
-    assert answer(local, Host=f"127.0.0.1:{local.get_port()}").status == 200
+    values = {name: control.value for name, control in controls.items()}
+    assert values == {
+        "number": 2.0,
+        "slider": 0.5,
+        "text": "as it was",
+        "switch": True,
+        "choice": "two",
+        "vector": (4.0, 5.0, 6.0),
+    }
+
+
+@pytest.mark.parametrize("size", [-1, 10**10])
+def test_files_larger_than_maps_are_not_taken(local, capfd, size):
+    button = local.gui.add_upload_button("send")
+    start = {
+        "type": "FileTransferStartUpload",
+        "source_component_uuid": button._impl.uuid,
+        "transfer_uuid": "one",
+        "filename": "map.png",
+        "mime_type": "image/png",
+        "part_count": 1,
+        "size_bytes": size,
+    }
+    assert f"a file of {size} bytes" in said_when(local, capfd, msgspec.msgpack.encode(start))
+    assert not local.gui._current_file_upload_states

@@ -30,9 +30,10 @@ from app.output import one_line, say
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 ANY_ADDRESS = ("0.0.0.0", "::", "")
 KEY, COOKIE = "key", "footfall-key"
-# Pages send clicks and numbers; a map to upload comes in pieces that are smaller.
 # Codes with which a socket is closed over which nonsense came: of this file, and of websockets.
 _NONSENSE = (1008, 1002, 1003, 1007, 1009)
+_REFUSED = "this page cannot have sent that"  # the reason of those of this file
+# Pages send clicks and numbers; a map to upload comes in pieces that are smaller.
 MOST_BYTES = 4 * 1024 * 1024
 
 Handler = Callable[[ServerConnection], Awaitable[None]]
@@ -149,7 +150,7 @@ def survives(handler: Handler) -> Handler:
             await refuse(connection, error)
         else:
             sent = connection.protocol.close_sent
-            if sent is not None and sent.code in _NONSENSE:
+            if sent is not None and sent.code in _NONSENSE and sent.reason != _REFUSED:
                 _tell_of(sent.reason or "no message")
 
     return surviving
@@ -159,7 +160,7 @@ async def refuse(connection: ServerConnection, error: Exception) -> None:
     """Ends a connection over which something came that cannot be carried out, and says so once."""
     if connection.protocol.close_sent is None:
         _tell_of(f"{type(error).__name__}: {error}")
-        await connection.close(_NONSENSE[0], "no message")
+        await connection.close(_NONSENSE[0], _REFUSED)
 
 
 def _tell_of(what: str) -> None:

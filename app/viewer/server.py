@@ -12,13 +12,23 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 
 import viser
-from viser._messages import RunJavascriptMessage
+from viser._messages import (
+    FileTransferPart,
+    FileTransferStartUpload,
+    GuiSliderProps,
+    GuiUpdateMessage,
+    RunJavascriptMessage,
+)
 
 from app.output import InputError
 from app.viewer.access import ANY_ADDRESS, KEY, Access, guarding, refuse
 from app.viewer.html_page import OpenedLinks, dressed
+from maps.images import MOST_BYTES
 
 LOCAL = "127.0.0.1"
+# Metres, pixels, seconds since 1970: no page has larger numbers, nor longer lists of waypoints.
+MOST_NUMBER, MOST_LETTERS = 1e15, 100_000
+MOST_UPLOADED, MOST_UPLOADS = MOST_BYTES, 3
 
 
 class OneThreadEvent(asyncio.Event):
@@ -180,7 +190,7 @@ def open_server(
     ):
         server = PageServer(host=host, port=port, label=title, verbose=False)
     server.access, server.links = access, links
-    _end_who_sends_nonsense(server._websock_server)
+    _end_who_sends_nonsense(server)
     make_thread_safe(server.broadcast)
     skip_superseded(server.broadcast)
     # Before anybody waits for the messages of a new page.
@@ -196,18 +206,102 @@ def use_theme(gui: viser.GuiApi, *, is_dark: bool) -> None:
     gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=is_dark)
 
 
-def _end_who_sends_nonsense(sockets: Any) -> None:
+def _end_who_sends_nonsense(server: PageServer) -> None:
     """Ends the connection of a page whose message fails; viser would go on, with a traceback."""
+    sockets = server._websock_server
     handle = sockets._handle_incoming_message
 
     async def handled(client_id: int, message: Any) -> None:
         try:
-            await handle(client_id, message)
+            if _may_be_carried_out(server, client_id, message):
+                await handle(client_id, message)
         except Exception as error:
             if client_id in sockets._live_connections:
                 await refuse(sockets._live_connections[client_id], error)
 
+    def guard(connection: Any) -> None:
+        # Its own dispatch, of the same messages; the one above tells of those that are refused.
+        handle_own = connection._handle_incoming_message
+
+        async def handled_own(client_id: int, message: Any) -> None:
+            may = False
+            with contextlib.suppress(Exception):
+                may = _may_be_carried_out(server, client_id, message)
+            if may:
+                await handle_own(client_id, message)
+
+        connection._handle_incoming_message = handled_own
+
     sockets._handle_incoming_message = handled
+    sockets.on_client_connect(guard)
+
+
+def _may_be_carried_out(server: PageServer, client_id: int, message: Any) -> bool:
+    """Whether a message of a page is to be carried out: a choice must still be one of those there.
+
+    viser takes any number, any property of its controls, and files of any size.
+
+    Raises:
+        ValueError: No page of this server sends such a message.
+    """
+    check_numbers(vars(message))
+    if isinstance(message, FileTransferStartUpload | FileTransferPart):
+        _check_upload(server, client_id, message)
+    if not isinstance(message, GuiUpdateMessage):
+        return True
+    clients = server.get_clients()
+    apis = [server.gui, *([clients[client_id].gui] if client_id in clients else [])]
+    inputs = (api._gui_input_handle_from_uuid.get(message.uuid) for api in apis)
+    handle = next((found for found in inputs if found is not None), None)
+    if message.updates.keys() != {"value"}:
+        raise ValueError(f"a change of {', '.join(map(str, message.updates))}")
+    if handle is None:
+        return True
+    value, props = message.updates["value"], handle._impl.props
+    if not is_alike(value, handle._impl.value):
+        raise ValueError(f"a value of {type(value).__name__} for {props.label}")
+    if isinstance(props, GuiSliderProps):
+        return bool(props.min <= value <= props.max)
+    # Another visitor may have changed what there is to choose from.
+    return value in getattr(props, "options", (value,))
+
+
+def check_numbers(value: object) -> None:
+    """Raises ValueError where a message has numbers that are not finite, or beyond any page's."""
+    if isinstance(value, int | float) and not abs(value) <= MOST_NUMBER:
+        raise ValueError(f"the number {value}")
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for part in value:
+            check_numbers(part)
+
+
+def is_alike(value: object, now: object) -> bool:
+    """Whether a value is of the kind that a control has now."""
+    if isinstance(now, tuple):
+        are = isinstance(value, list | tuple) and len(value) == len(now)
+        return are and all(map(is_alike, value, now))  # type: ignore[arg-type]
+    if isinstance(now, int | float) and not isinstance(now, bool):
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(now, str):
+        return isinstance(value, str) and len(value) <= MOST_LETTERS
+    return type(value) is type(now)
+
+
+def _check_upload(
+    server: PageServer, client_id: int, message: FileTransferStartUpload | FileTransferPart
+) -> None:
+    """Raises ValueError for more than a page may send: few files at a time, as large as maps."""
+    under_way = server.gui._current_file_upload_states
+    if isinstance(message, FileTransferStartUpload):
+        mine = sum(state["client_id"] == client_id for state in under_way.values())
+        if mine >= MOST_UPLOADS or not 0 <= message.size_bytes <= MOST_UPLOADED:
+            raise ValueError(f"a file of {message.size_bytes} bytes beside {mine} others")
+    elif message.transfer_uuid in under_way:
+        state = under_way[message.transfer_uuid]
+        if state["transferred_bytes"] + len(message.content) > state["total_bytes"]:
+            raise ValueError("more of a file than was told")
 
 
 def _free_port(host: str, port: int) -> int:
