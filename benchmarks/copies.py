@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import resource
 import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,6 +75,16 @@ def written(folder: Path) -> tuple[str, str]:
     """What the last copy in the folder wrote to standard output and standard error."""
     out, err = ((folder.parent / name).read_text(errors="replace") for name in ("out", "err"))
     return out, err
+
+
+def until_interrupted(numbers: Iterable[int]) -> Iterator[int]:
+    """The numbers, until Ctrl-C: the one that is at work then is the last, and goes to its end."""
+    over: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, frame: over.append(number))
+    try:
+        yield from itertools.takewhile(lambda _: not over, numbers)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def members(group: int) -> list[int]:

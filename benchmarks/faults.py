@@ -12,8 +12,9 @@ than a random size). Right is:
 - The same command, begun again, ends with the same bytes as one that nobody ended, but for the
   times that it took, and with no file more.
 
-Prints what was wrong, and exits with 1 if anything was. A try depends on the seed and its number,
-and on how fast the machine is: the moment is a share of the time that the whole command took.
+Prints what was wrong, and exits with 1 if anything was; Ctrl-C ends it early, with the count so
+far. A try depends on the seed and its number, and on how fast the machine is: the moment is a share
+of the time that the whole command took.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ import sys
 import tempfile
 import time
 import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +43,7 @@ import tyro
 
 from app.cli import main
 from app.output import ExitCode
-from benchmarks.copies import members, start_copy, written
+from benchmarks.copies import members, start_copy, until_interrupted, written
 from benchmarks.short_training import WORDS as TRAIN
 from benchmarks.short_training import shorten_training
 
@@ -286,20 +288,23 @@ def faults(arguments: Arguments) -> int:
     commands = arguments.commands or tuple(COMMANDS)
     hows = arguments.hows or HOWS
     numbers = range(arguments.count) if arguments.only is None else [arguments.only]
-    bad = 0
+    bad, tried = 0, Counter[tuple[str, str]]()
     cv2.setNumThreads(1)
     shorten_training()
     with tempfile.TemporaryDirectory() as scratch:
         bench = Bench(Path(scratch), commands)
-        for number in numbers:
+        for number in until_interrupted(numbers):
             draw = random.Random(f"{arguments.seed} {number}")
             command = commands[number % len(commands)]
             how = hows[number // len(commands) % len(hows)]
             wrong = bench.attempt(command, how, draw)
+            tried[command, how] += 1
             bad += bool(wrong)
             for line in wrong:
                 print(f"{number} {command} {how}: {line}", flush=True)
-    print(f"{bad} of {len(numbers)} were not as they should be")
+    for command in commands:
+        print(f"{command}: " + ", ".join(f"{how}: {tried[command, how]}" for how in hows))
+    print(f"{bad} of {tried.total()} were not as they should be")
     return bad
 
 

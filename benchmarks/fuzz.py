@@ -7,7 +7,8 @@ it is 2 one line that begins with `error:`; warnings in one line each; no traceb
 of processor time to refuse, and MEMORY_MB beyond this process. What is accepted may go on for
 ACCEPTED_S, and is then ended. A try depends on the seed and its number alone: `--only NUMBER`
 repeats it.
-Prints what was answered badly, and exits with 1 if anything was.
+Prints what was answered badly, and exits with 1 if anything was. Ctrl-C ends it early, with the
+count so far.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import tyro
 
 from app.cli import COMMANDS, load_run, main
 from app.output import ExitCode
-from benchmarks.copies import Answer, run_copy, start_copy, written
+from benchmarks.copies import Answer, run_copy, start_copy, until_interrupted, written
 from benchmarks.damage import ODD, damaged, odd_json, odd_picture, odd_state, odd_yaml
 from benchmarks.short_training import WORDS as TRAIN
 from benchmarks.short_training import shorten_training
@@ -353,7 +354,7 @@ def fuzz(arguments: Arguments) -> int:
         prepared = Path(scratch, "prepared")
         prepared.mkdir()
         prepare(prepared)
-        for number in numbers:
+        for number in until_interrupted(numbers):
             draw = random.Random(f"{arguments.seed} {number}")
             kind = kinds[number % len(kinds)]
             folder = Path(scratch, "try")
@@ -374,7 +375,7 @@ def fuzz(arguments: Arguments) -> int:
         print(
             f"{kind}: " + ", ".join(f"{'ended' if c is None else c}: {n}" for c, n in told.items())
         )
-    print(f"{bad} of {len(numbers)} answered badly")
+    print(f"{bad} of {codes.total()} answered badly")
     return bad
 
 

@@ -9,14 +9,17 @@ maps. Every so often a box is asked for on the robot itself, which must be refus
 - Nothing is raised.
 - Memory at the end is what it was after a tenth of the goals, within MEMORY_MB.
 
-Prints how the goals ended and what broke a law, and exits with 1 if anything did. What the planner
-answers comes whenever it is ready, so a seed repeats the questions, not the walks.
+Prints how the goals ended and what broke a law, and exits with 1 if anything did; Ctrl-C ends it
+early, with the count so far. What the planner answers comes whenever it is ready, so a seed repeats
+the questions, not the walks.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import random
+import signal
 import sys
 import time
 from collections import Counter
@@ -319,14 +322,17 @@ def main(arguments: Arguments) -> int:
     """Runs the soak and prints how it went; how often a law was broken."""
     soak = Soak(arguments)
     began_s = time.monotonic()
-    soak.run()
+    # A shell that runs this in the background lets it ignore Ctrl-C.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        soak.run()
     first_mb, last_mb = soak.memory_mb[len(soak.memory_mb) // 10], soak.memory_mb[-1]
     if last_mb > first_mb + MEMORY_MB:
         soak.broken.append(f"memory grew from {first_mb:.0f} to {last_mb:.0f} MB")
     for told in soak.broken:
         print(told)
     print(
-        f"{arguments.goals} goals: {dict(soak.ended)}; {soak.changes.total()} changes: "
+        f"{soak.ended.total()} goals: {dict(soak.ended)}; {soak.changes.total()} changes: "
         f"{dict(soak.changes)}; {soak.landings} steps; {first_mb:.0f} to {last_mb:.0f} MB; "
         f"{time.monotonic() - began_s:.0f} s"
     )

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import random
+import signal
 
 import cv2
 import numpy as np
 import pytest
 
 from app.viewer.obstacles import Obstacle
+from benchmarks.copies import until_interrupted
 from benchmarks.faults import contents, half_written, timeless
+from benchmarks.hostile import refusals
 from benchmarks.soak import outline, sole_polygon
 from benchmarks.walks import badness, line, map_files, wilson
 from planner.robot_model import FootShape
@@ -66,6 +70,24 @@ def test_maps_of_a_folder_are_its_yaml_files(tmp_path):
         tmp_path / "b.yaml",
         tmp_path / "a.png",
     ]
+
+
+def test_foreign_requests_are_refused():
+    assert refusals(random.Random(1), 20) == {
+        "foreign Origin": 20,
+        "foreign Host": 20,
+        "no key": 20,
+    }
+
+
+def test_ctrl_c_ends_the_numbers_after_the_one_that_is_at_work():
+    before, done = signal.getsignal(signal.SIGINT), []
+    for number in until_interrupted(range(10)):
+        if number == 2:
+            signal.raise_signal(signal.SIGINT)
+        done.append(number)
+    assert done == [0, 1, 2]
+    assert signal.getsignal(signal.SIGINT) == before
 
 
 def test_half_written_files_are_seen_and_times_are_not_compared(tmp_path):
