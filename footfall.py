@@ -126,7 +126,7 @@ def plan(
         robot: Whose steps, from `load_robot`.
         start: Where the robot stands at first.
         goal: Where it stands in the end.
-        via: Poses to stand at on the way.
+        via: Poses to be on with both feet on the way.
         options: How to search; the defaults are those of the command `plan`.
     """
     from dataclasses import replace

@@ -54,6 +54,18 @@ class NarrowPlace:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class PlanWaypoint:
+    """A pair pose on the way of a plan: both feet are on it after `step` of the plan's steps.
+
+    stands: the robot stands there for a moment, and the plan ends; otherwise it walks on.
+    """
+
+    pose: Pose
+    step: int
+    stands: bool = False
+
+
 def _no_sides() -> NDArray[np.int8]:
     return np.zeros(0, np.int8)
 
@@ -71,6 +83,8 @@ class FootstepPlan:
     step_s (N,): how long each step takes, from lift-off to the next foot's; None: as long as the
         gait of the robot does.
     narrow_place: where there is no plan, the place that is too narrow to walk through, if any is.
+    waypoints: the poses that it was asked to pass on the way, in order; each within the tolerance
+        of the goal, where there is one.
     start, goal: pair poses x_m, y_m, yaw_rad. Arrays are read-only.
     epsilon: proven bound: what the search found costs at most epsilon times the optimum on the
         lattice, and refinement only lowers that; inf if nothing is proven.
@@ -85,6 +99,7 @@ class FootstepPlan:
     pose_world: FloatArray = field(default_factory=_no_poses)
     step_s: FloatArray | None = None
     narrow_place: NarrowPlace | None = None
+    waypoints: tuple[PlanWaypoint, ...] = ()
     robot: str = ""
     map: str = ""
     status: PlanStatus = PlanStatus.FOUND
@@ -110,6 +125,9 @@ class FootstepPlan:
             arrays["step_s"] = step_s = np.array(self.step_s, dtype=float)
             if step_s.shape != side.shape or not np.all((step_s > 0) & np.isfinite(step_s)):
                 raise ValueError(f"step_s must be a positive number for each of {len(side)} steps")
+        at = [waypoint.step for waypoint in self.waypoints]
+        if at != sorted(at) or not all(0 <= step <= len(side) for step in at):
+            raise ValueError(f"waypoints at steps {at} are not in the order of {len(side)} steps")
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -140,6 +158,7 @@ class FootstepPlan:
             "status": str(self.status),
             "reason": self.reason,
             **({"narrow_place": asdict(self.narrow_place)} if self.narrow_place else {}),
+            **({"waypoints": [_of(point) for point in self.waypoints]} if self.waypoints else {}),
             "start_feet": {
                 side.name.lower(): self.start_feet_world[side].tolist() for side in Side
             },
@@ -208,6 +227,7 @@ def _from_document(document: Mapping[str, Any]) -> FootstepPlan:
         status=PlanStatus(document["status"]),
         reason=str(document["reason"]),
         narrow_place=_narrow_place(document.get("narrow_place")),
+        waypoints=tuple(_waypoint(point) for point in document.get("waypoints", ())),
         cost_m=float(document["cost_m"]),
         cost_before_refinement_m=None if before is None else float(before),
         epsilon=math.inf if epsilon is None else float(epsilon),
@@ -223,6 +243,19 @@ def _narrow_place(document: Mapping[str, float] | None) -> NarrowPlace | None:
         return None
     keys = ("x", "y", "width_m", "needed_m")
     return NarrowPlace(**dict(zip(keys, _numbers([document[k] for k in keys], 4), strict=True)))
+
+
+def _of(waypoint: PlanWaypoint) -> dict[str, float | int | bool]:
+    x_m, y_m, yaw_rad = (float(v) for v in waypoint.pose)
+    return {"x": x_m, "y": y_m, "yaw": yaw_rad, "step": waypoint.step, "stands": waypoint.stands}
+
+
+def _waypoint(document: Mapping[str, Any]) -> PlanWaypoint:
+    step, stands = document["step"], document["stands"]
+    if type(step) is not int or type(stands) is not bool:
+        raise ValueError(f"step {step!r} must be a count, stands {stands!r} true or false")
+    pose = finite_pose(document[key] for key in ("x", "y", "yaw"))
+    return PlanWaypoint(pose=pose, step=step, stands=stands)
 
 
 def _side(name: str) -> Side:

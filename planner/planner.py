@@ -22,6 +22,7 @@ from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import (
     FootstepPlan,
     PlanStatus,
+    PlanWaypoint,
     Pose,
     feet_at,
     finite_pose,
@@ -391,8 +392,13 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
     # None where the robot stands at the pose already, so that nothing was there to refine.
     before_m = [leg.cost_before_refinement_m for leg in walked]
     refined = any(cost_m is not None for cost_m in before_m)
+    reached = np.cumsum([len(leg) for leg in walked])[:-1].tolist()
     return replace(
         last,
+        waypoints=tuple(
+            PlanWaypoint(pose=finite_pose(np.asarray(pose)), step=step)
+            for pose, step in zip(poses, reached, strict=False)
+        ),
         start_feet_world=legs[0].start_feet_world,
         start=legs[0].start,
         goal=finite_pose(np.asarray(poses[-1])),

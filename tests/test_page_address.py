@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 import pytest
 
 from app.output import InputError
 from app.viewer.address import Link, is_same
 from app.viewer.html_page import LINK_COOKIE
+from app.viewer.obstacles import Box, Obstacle, boxes_of, cells_below, obstacles_of, snapped
 from app.viewer.page import Maps, Page, open_page
 from benchmarks.page_watcher import Watcher, painted_in_background
+from maps.grid import Cell, OccupancyGrid
 from tests.scenes import HALL, POLICY, ROBOT, wait_until
 
 
@@ -173,3 +176,68 @@ def test_a_link_is_followed_once(page):
     assert urlsplit(page.server.url).query == ""
     first.close()
     second.close()
+
+
+def test_boxes_stand_in_a_link_and_cover_the_same_cells_when_it_is_read_again():
+    # Cells of a third of a decimetre on a map that is turned: nothing comes out even.
+    grid = OccupancyGrid(
+        cells=np.zeros((90, 120), np.uint8), resolution_m=0.1 / 3, origin=(-1.3, 0.7, 0.4)
+    )
+    draw = np.random.default_rng(4)
+    for _ in range(200):
+        x_m, y_m, size_x_m, size_y_m = draw.uniform((-0.5, -0.5, 0.05, 0.05), (4.5, 3.5, 2, 2))
+        asked = Obstacle(number=0, x_m=x_m, y_m=y_m, size_x_m=size_x_m, size_y_m=size_y_m)
+        box = snapped(asked, grid)
+        link = Link(boxes=boxes_of([box], grid))
+        again = Link.read(str(link)).boxes
+        assert again is not None
+        (found,) = obstacles_of(again, grid)
+        assert cells_below(found, grid) == cells_below(box, grid)
+    assert str(Link(boxes=(Box(2, 1, 0.4, 0.25),))) == "boxes=2,1,0.4,0.25"
+    assert str(Link(boxes=())) == "boxes=none"
+    assert Link.read("boxes=none").boxes == ()
+    assert Link.read("goal=1,2,0").boxes is None
+
+
+@pytest.mark.parametrize(
+    "text", ["1,2,0.4", "1,2,0,0.4", "1,2,nan,1", "1e300,0,1,1", "0,0,1,inf", "here", "1,2,1,1;"]
+)
+def test_what_is_no_box_is_refused(text):
+    with pytest.raises(InputError, match=r"^box in the link: .* such as 2,1,0.4,0.4$"):
+        Link.read(f"boxes={text}")
+    with pytest.raises(InputError, match="51 boxes in the link: 50 are as many as can be"):
+        Link.read("boxes=" + ";".join(["1,2,0.4,0.4"] * 51))
+
+
+def test_a_link_sets_boxes_and_the_address_says_them(page):
+    page.obstacle_editor.add((-1.0, 1.0), (0.4, 0.4))
+    wait_until(lambda: page.session.snapshot.obstacles)
+    watcher = Watcher(page.server.url, cookie=opened(page, "boxes=1,1,0.4,0.2;3,0,0.3,0.3"))
+    wait_until(lambda: address(watcher).get("boxes") == ["1,1,0.4,0.2;3,0,0.3,0.3"])
+    wait_until(lambda: len(page.session.snapshot.obstacles) == 2)
+    assert page.session.setup.grid.cells.sum() == (8 * 4 + 6 * 6) * Cell.OCCUPIED
+    drawn = [node for kind, node in watcher.last_of if kind == "BoxMessage" and "box_" in node]
+    assert sorted(drawn) == ["/map/box_0", "/map/box_1"]
+    # One that leaves them open changes none of them, and one that names none takes them away.
+    other = Watcher(page.server.url, cookie=opened(page, "goal=2,1,0deg"))
+    wait_until(lambda: goal(page))
+    assert len(page.session.snapshot.obstacles) == 2
+    page.session.undo()
+    wait_until(lambda: goal(page) is None)
+    last = Watcher(page.server.url, cookie=opened(page, "boxes=none"))
+    wait_until(lambda: page.session.snapshot.obstacles == ())
+    page.session.undo()
+    wait_until(lambda: len(page.session.snapshot.obstacles) == 2)
+    for one in (watcher, other, last):
+        one.close()
+
+
+def test_a_box_of_a_link_does_not_come_down_on_the_robot(page):
+    """It is put elsewhere by the same link, where another box of it would stand."""
+    query = "start=1,1,0deg&boxes=0,0,0.4,0.4;1,1,0.4,0.4"
+    watcher = Watcher(page.server.url, cookie=opened(page, query))
+    wait_until(lambda: "no box can stand on the robot" in page.panel.notice.content)
+    wait_until(lambda: address(watcher).get("boxes") == ["0,0,0.4,0.4"])
+    assert page.session.setup.start == pytest.approx((1, 1, 0))
+    assert page.session.snapshot.status == "standing"
+    watcher.close()

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.navigation.route import Route, Waypoint, feet_after, first_leg, plan_through
+from app.navigation.route import Waypoint, feet_after, first_leg, plan_through
 from app.output import InputError
 from app.viewer.page import Page, open_page
 from app.viewer.session import Session
 from app.viewer.waypoints import text_of, waypoints_of
 from benchmarks.page_watcher import Watcher, painted_in_background
-from planner.plan import feet_at, pair_pose
+from planner.plan import FootstepPlan, PlanWaypoint, feet_at, pair_pose
 from planner.planner import Planner
 from planner.verify import violations
 from tests.scenes import HALL, POLICY, ROBOT, wait_until
@@ -26,21 +26,25 @@ VIA = ((1.0, 0.3, 0.5), (1.6, 0.0, -0.5))
 GOAL = (2.4, 0.2, 0.0)
 
 
-def through(*via: tuple[float, float, float]) -> Route:
+def through(*via: tuple[float, float, float]) -> FootstepPlan:
     planner = Planner(HALL, ROBOT.step_model)
     feet = feet_at((0.0, 0.0, 0.0), WIDTH_M)
-    plan = plan_through(planner, goal=GOAL, start_feet_world=feet, first_side=None, via=via)
-    assert isinstance(plan, Route)
-    return plan
+    return plan_through(planner, goal=GOAL, start_feet_world=feet, first_side=None, via=via)
+
+
+def joints(plan: FootstepPlan) -> list[int]:
+    """After how many steps both feet are on each waypoint."""
+    return [point.step for point in plan.waypoints]
 
 
 def test_a_plan_through_waypoints_is_one_plan_with_both_feet_on_each():
     plan = through(*VIA)
     assert plan.found
-    assert plan.via == VIA
+    assert tuple(point.pose for point in plan.waypoints) == VIA
+    assert not any(point.stands for point in plan.waypoints)
     # The verifier knows nothing of joints: sides in turn, limits, room for feet and body.
     assert violations(plan, HALL, ROBOT.step_model) == []
-    for pose, joint in zip(VIA, plan.joints, strict=True):
+    for pose, joint in zip(VIA, joints(plan), strict=True):
         feet = plan.pose_world[joint - 2 : joint]
         assert pair_pose(feet) == pytest.approx(pose, abs=1e-6)
     assert pair_pose(feet_after(plan)) == pytest.approx(GOAL, abs=1e-6)
@@ -54,14 +58,25 @@ def test_the_cost_of_a_way_is_that_of_its_legs_and_not_less_than_without_waypoin
     plan = through(*VIA)
     assert plan.cost_m > direct.cost_m
     first = planner.plan(goal=VIA[0], start_feet_world=feet)
-    assert plan.joints[0] == len(first)
+    assert joints(plan)[0] == len(first)
     assert plan.cost_m > first.cost_m
 
 
 def test_a_waypoint_where_the_feet_stand_already_costs_no_step():
     plan = through((0.0, 0.0, 0.0), VIA[0])
-    assert plan.joints[0] == 0
-    assert len(plan) > plan.joints[1] > 0
+    assert joints(plan)[0] == 0
+    assert len(plan) > joints(plan)[1] > 0
+
+
+def test_a_plan_to_a_waypoint_at_which_the_robot_stands_says_so_at_its_end():
+    planner = Planner(HALL, ROBOT.step_model)
+    feet = feet_at((0.0, 0.0, 0.0), WIDTH_M)
+    asked: Any = {"goal": VIA[0], "start_feet_world": feet, "first_side": None}
+    plan = plan_through(planner, **asked, stands=True)
+    assert plan.waypoints == (PlanWaypoint(pose=VIA[0], step=len(plan), stands=True),)
+    plain = plan_through(planner, **asked)
+    assert plain.waypoints == ()
+    assert np.array_equal(plan.pose_world, plain.pose_world)
 
 
 def test_a_waypoint_that_cannot_be_reached_is_named():
@@ -107,6 +122,11 @@ def test_the_robot_walks_through_one_stands_at_another_and_reaches_the_goal():
         stands = Waypoint(pose=(1.5, 0.0, 0.0), stands=True)
         session.set_waypoints([through_it, stands])
         session.go_to((2.2, 0.0, 0.0))
+        # What plan.json is made of: one is passed on the way, and the plan ends at the other one.
+        plan: Any = wait_until(lambda: session.walk().plans and session.walk().plans[0])
+        assert [point.pose for point in plan.waypoints] == [through_it.pose, stands.pose]
+        assert [point.stands for point in plan.waypoints] == [False, True]
+        assert plan.waypoints[1].step == len(plan)
         wait_until(lambda: session.snapshot.waypoints == (stands,))
         stood: Any = wait_until(lambda: session.snapshot.waypoints == () and session.snapshot)
         # Both feet beside each other at the second, and none of it counts as a new plan.

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planner.options import PlannerOptions
-from planner.plan import PlanStatus, feet_at, wrap_angle
+from planner.plan import PlanStatus, PlanWaypoint, feet_at, wrap_angle
 from planner.planner import Planner, plan_through
 from planner.robot_model import Side
 from planner.verify import violations
@@ -189,6 +189,8 @@ def test_the_robot_stands_at_every_pose_and_steps_alternate():
         for k in range(len(plan) - 1)
     ]
     assert sum(stood) == 1
+    (point,) = plan.waypoints
+    assert point == PlanWaypoint(pose=VIA, step=stood.index(True) + 2)
 
 
 def test_a_way_through_poses_begins_with_the_plan_to_the_first():
@@ -207,7 +209,7 @@ def test_a_leg_without_a_way_is_named():
     )
     assert plan.status is PlanStatus.NO_PATH
     assert plan.reason.startswith("leg 2 of 2: ")
-    assert len(plan) == 0
+    assert len(plan) == len(plan.waypoints) == 0
 
 
 def test_no_pose_is_an_error():

@@ -10,7 +10,7 @@ import re
 import numpy as np
 import pytest
 
-from planner.plan import FootstepPlan, feet_at, pair_pose, relative_step, wrap_angle
+from planner.plan import FootstepPlan, PlanWaypoint, feet_at, pair_pose, relative_step, wrap_angle
 from planner.robot_model import Side
 from tests.planner_floor import FLOOR, plan_on_lattice, small_plan
 from tests.planner_oracle import small_model
@@ -70,6 +70,25 @@ def test_durations_of_steps_survive_the_file_and_are_for_all_steps_or_none(plan)
     document["steps"][1]["step_s"] = 0.0
     with pytest.raises(ValueError, match="must be a positive number"):
         FootstepPlan.from_json(json.dumps(document))
+
+
+def test_waypoints_survive_the_file_and_must_lie_on_the_way(plan):
+    points = (
+        PlanWaypoint(pose=(1.0, 2.0, 0.5), step=2),
+        PlanWaypoint(pose=(2.0, 2.0, 0.0), step=len(plan), stands=True),
+    )
+    led = dataclasses.replace(plan, waypoints=points)
+    document = json.loads(led.to_json())
+    assert document["waypoints"][0] == {"x": 1, "y": 2, "yaw": 0.5, "step": 2, "stands": False}
+    assert FootstepPlan.from_json(led.to_json()).waypoints == points
+    assert FootstepPlan.from_json(plan.to_json()).waypoints == ()
+    document["waypoints"].reverse()
+    with pytest.raises(ValueError, match="are not in the order of"):
+        FootstepPlan.from_json(json.dumps(document))
+    for wrong in ({"step": -1}, {"step": len(plan) + 1}, {"step": 1.5}, {"stands": 1}, {"x": "a"}):
+        document["waypoints"] = [{"x": 1, "y": 2, "yaw": 0.5, "step": 2, "stands": False, **wrong}]
+        with pytest.raises(ValueError, match=r"^not a plan: "):
+            FootstepPlan.from_json(json.dumps(document))
 
 
 def test_the_file_has_the_documented_keys(plan):

@@ -52,7 +52,7 @@ class PlanOptions(PlanningOptions, GoalOptions):
     """Plan for the feet, limits and costs in this file and no robot, such as nao.yaml."""
 
     via: PosesOption = ()
-    """Poses to stand at on the way, with colons between, such as 1,0,0:2,0,1.57."""
+    """Poses to be on with both feet on the way, with colons between, such as 1,0,0:2,0,1.57."""
 
     out: OptionalFile = None
     """Write the plan to this file, such as plan.json."""

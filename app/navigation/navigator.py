@@ -16,7 +16,7 @@ from app.navigation.report import (
     PolicyFile,
     installed_versions,
 )
-from app.navigation.route import FootstepPlanner, Route, halting_plan, plan_through
+from app.navigation.route import FootstepPlanner, halting_plan, plan_through
 from app.navigation.sensed import Sensing, SensingConfig, in_frame, in_map
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.evaluation.push_recovery import random_pushes
@@ -148,11 +148,11 @@ class Navigator:
     @property
     def ahead(self) -> tuple[Pose, ...]:
         """The poses through which it walks on its way and which it has not passed yet."""
-        begun_s, route = self.followed[-1] if self.followed else (0.0, None)
-        if not isinstance(route, Route):
+        if not self.followed:
             return ()
+        begun_s, plan = self.followed[-1]
         done = sum(placed.time_s > begun_s for placed in self.placed)
-        return tuple(p for p, joint in zip(route.via, route.joints, strict=True) if joint > done)
+        return tuple(w.pose for w in plan.waypoints if w.step > done and not w.stands)
 
     @property
     def goal_error(self) -> tuple[float, float]:
@@ -390,6 +390,7 @@ class Navigator:
             start_feet_world=feet_world,
             first_side=first_side,
             via=self.ahead,
+            stands=any(w.stands for _, plan in self.followed[-1:] for w in plan.waypoints),
         )
         paced = self._paced(plan)
         self.plans.append(paced)

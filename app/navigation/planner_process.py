@@ -45,6 +45,7 @@ class Asked(TypedDict):
     start_feet_world: np.ndarray
     first_side: Side | None
     via: NotRequired[Sequence[Pose]]
+    stands: NotRequired[bool]
 
 
 @dataclass(frozen=True, kw_only=True)

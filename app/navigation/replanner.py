@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from app.navigation.live_navigator import LiveNavigator, Notice, ReplanPoint, WalkHistory
 from app.navigation.planner_process import Answer, PlannerProcess
 from app.navigation.report import Outcome
-from app.navigation.route import Route, Waypoint, first_leg
+from app.navigation.route import Waypoint, first_leg
 from planner.plan import FootstepPlan, Pose, finite_pose
 
 
@@ -109,6 +109,7 @@ class Replanner:
             start_feet_world=replan_point.feet_world,
             first_side=replan_point.first_side,
             via=via,
+            stands=any(waypoint.stands for waypoint in self.waypoints),
         )
         self.question = Question(
             number=number,
@@ -139,9 +140,10 @@ class Replanner:
         route = navigator.followed[-1][1] if navigator.followed else None
         if route is not self._route:
             self._route, self._passed = route, 0
-        if isinstance(route, Route):
-            passed = len(route.via) - len(navigator.ahead)
-            for pose in route.via[self._passed : passed]:
+        if route is not None:
+            via = [waypoint.pose for waypoint in route.waypoints if not waypoint.stands]
+            passed = len(via) - len(navigator.ahead)
+            for pose in via[self._passed : passed]:
                 self._leave(pose, stands=False)
             self._passed = passed
         reached = navigator.outcome is Outcome.REACHED and self.question is None

@@ -9,7 +9,15 @@ from typing import Protocol
 import numpy as np
 
 from planner.endpoints import Footing
-from planner.plan import FootstepPlan, Pose, feet_at, finite_pose, from_frame, pair_pose
+from planner.plan import (
+    FootstepPlan,
+    PlanWaypoint,
+    Pose,
+    feet_at,
+    finite_pose,
+    from_frame,
+    pair_pose,
+)
 from planner.robot_model import Side
 
 
@@ -31,14 +39,6 @@ class FootstepPlanner(Protocol):
         ...
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class Route(FootstepPlan):
-    """A plan that passes the pair poses `via`, each when `joints` of its steps have been taken."""
-
-    via: tuple[Pose, ...] = ()
-    joints: tuple[int, ...] = ()
-
-
 def first_leg(waypoints: Sequence[Waypoint], goal: Pose) -> tuple[tuple[Pose, ...], Pose]:
     """The poses to walk through, and where the robot stands next: at a waypoint or the goal."""
     poses = tuple(waypoint.pose for waypoint in waypoints)
@@ -55,14 +55,17 @@ def plan_through(
     start_feet_world: np.ndarray,
     first_side: Side | None,
     via: Sequence[Pose] = (),
+    stands: bool = False,
 ) -> FootstepPlan:
     """The plan of `Planner.plan` that passes the poses `via` in order, with both feet on each.
+
+    stands: the goal is a waypoint, at which the robot stands for a moment.
 
     At a joint the feet go on in turn: the foot that stepped last stands while the other one steps.
     Where there is no way to a pose, that leg's plan tells why, and its goal is that pose. The cost
     is at most epsilon times that of the best plan which puts both feet on the poses.
     """
-    if not via:
+    if not via and not stands:
         return planner.plan(goal=goal, start_feet_world=start_feet_world, first_side=first_side)
     legs: list[FootstepPlan] = []
     feet, side = start_feet_world, first_side
@@ -74,7 +77,7 @@ def plan_through(
         legs.append(leg)
         feet = feet_after(leg)
         side = Side(int(leg.side[-1])).other if len(leg) else side
-    return _joined(legs, tuple(finite_pose(pose) for pose in via))
+    return _joined(legs, via, stands)
 
 
 def feet_after(plan: FootstepPlan) -> np.ndarray:
@@ -87,11 +90,14 @@ def feet_after(plan: FootstepPlan) -> np.ndarray:
     return feet
 
 
-def _joined(legs: Sequence[FootstepPlan], via: tuple[Pose, ...]) -> Route:
+def _joined(legs: Sequence[FootstepPlan], via: Sequence[Pose], stands: bool) -> FootstepPlan:
     first, last = legs[0], legs[-1]
+    ends = zip((*via, last.goal), np.cumsum([len(leg) for leg in legs]).tolist(), strict=True)
+    points = [PlanWaypoint(pose=finite_pose(pose), step=step) for pose, step in ends]
+    goal = (replace(points[-1], stands=True),) if stands else ()
     before_m = [leg.cost_before_refinement_m for leg in legs]
     known_m = [cost_m for cost_m in before_m if cost_m is not None]
-    return Route(
+    return FootstepPlan(
         start_feet_world=first.start_feet_world,
         start=first.start,
         goal=last.goal,
@@ -106,8 +112,7 @@ def _joined(legs: Sequence[FootstepPlan], via: tuple[Pose, ...]) -> Route:
         time_to_first_s=sum(leg.time_to_first_s for leg in legs),
         time_s=sum(leg.time_s for leg in legs),
         planner=first.planner,
-        via=via,
-        joints=tuple(np.cumsum([len(leg) for leg in legs])[:-1].tolist()),
+        waypoints=(*points[:-1], *goal),
     )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maps.grid import Cell, OccupancyGrid
-from planner.plan import FootstepPlan, NarrowPlace, feet_at, pair_pose
+from planner.plan import FootstepPlan, NarrowPlace, PlanWaypoint, feet_at, pair_pose
 from planner.robot_model import FootShape, Side, StepModel
 
 Colour = tuple[int, int, int]  # blue, green, red
@@ -21,6 +22,7 @@ LEFT: Colour = (200, 110, 30)
 RIGHT: Colour = (40, 120, 240)
 START: Colour = (90, 150, 50)
 GOAL: Colour = (60, 40, 200)
+WAYPOINT: Colour = (90, 125, 46)
 PATH: Colour = (150, 130, 120)
 BODY: Colour = (150, 60, 112)
 PLANNED: Colour = (50, 50, 50)
@@ -191,15 +193,20 @@ class Canvas:
         for number, pose in zip(plan.side, plan.pose_world, strict=True):
             self.foot(pose, Side(int(number)), model, opacity)
 
-    def ends(self, start: ArrayLike, goal: ArrayLike) -> None:
-        """Start and goal (x_m, y_m, yaw_rad) as arrows, with names where nothing else is drawn.
+    def ends(
+        self, start: ArrayLike, goal: ArrayLike, waypoints: Sequence[PlanWaypoint] = ()
+    ) -> None:
+        """Start, goal (x_m, y_m, yaw_rad) and waypoints as arrows, named where nothing else is.
 
-        To be called when all else is.
+        To be called when all else is drawn.
         """
-        ends = ((start, START, "start"), (goal, GOAL, "goal"))
-        for pose, colour, _ in ends:
+        poses: list[tuple[ArrayLike, Colour, str]] = [(start, START, "start"), (goal, GOAL, "goal")]
+        for number, point in enumerate(waypoints, start=1):
+            if not point.stands:
+                poses.append((point.pose, WAYPOINT, str(number)))
+        for pose, colour, _ in poses:
             self.arrow(pose, colour)
-        for pose, colour, name in ends:
+        for pose, colour, name in poses:
             self._label_clear(name, np.asarray(pose, dtype=float)[:2], colour)
 
     def arrow(self, pose_world: ArrayLike, colour: Colour) -> None:
@@ -354,5 +361,5 @@ def plan_canvas(
             canvas.foot(pose, side, model, 0.12)
     if plan.narrow_place is not None:
         canvas.narrow_place(plan.narrow_place)
-    canvas.ends(plan.start, plan.goal)
+    canvas.ends(plan.start, plan.goal, plan.waypoints)
     return canvas

@@ -172,7 +172,7 @@ def walk_picture(
         canvas.polygon(sole_corners(pose_world, model.foot), PLANNED, width_m=0.008)
     if len(body_xy_world) > 1:
         canvas.line(body_xy_world, BODY, 0.02)
-    canvas.ends(plan.start, plan.goal)
+    canvas.ends(plan.start, plan.goal, plan.waypoints)
     legend = [
         Swatch(colour=LEFT, text="left foot as placed"),
         Swatch(colour=RIGHT, text="right foot as placed"),

@@ -1,7 +1,8 @@
-"""The page's state in its address, so that a link opens the same map, robot, start and goal."""
+"""The page's state in its address: a link opens the same map, robot, start, goal and boxes."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -15,31 +16,38 @@ from app.navigation.route import Waypoint
 from app.options import parse_pose
 from app.output import InputError
 from app.viewer.html_page import LINK_COOKIE
+from app.viewer.obstacles import MOST_BOXES, Box
 from app.viewer.server import PageServer
 from planner.plan import Pose, finite_pose, wrap_angle
 
 # In this order they stand in an address.
-WORDS = ("map", "robot", "start", "via", "goal")
+WORDS = ("map", "robot", "start", "via", "goal", "boxes")
 _STAND = ",stand"
+_NO_BOXES = "none"
+_LARGEST_BOX_M, _FARTHEST_BOX_M = 1e3, 1e6
 _ALIKE_M, _ALIKE_RAD = 0.002, 0.002
 
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """What an address asks for; None and empty is what it leaves open."""
+    """What an address asks for; None and empty is what it leaves open.
+
+    boxes: those that stand on the map and no others; None leaves them as they are.
+    """
 
     map: str = ""
     robot: str = ""
     start: Pose | None = None
     via: tuple[Waypoint, ...] = ()
     goal: Pose | None = None
+    boxes: tuple[Box, ...] | None = None
 
     @classmethod
     def read(cls, query: str) -> Link:
         """From the part of an address after the question mark; other words are left alone.
 
         Raises:
-            InputError: A pose is none.
+            InputError: A pose is none, or a box.
         """
         said = {word: texts[-1] for word, texts in parse_qs(query).items() if word in WORDS}
         return cls(
@@ -52,6 +60,7 @@ class Link:
                 if text
             ),
             goal=_pose("goal", said["goal"]) if "goal" in said else None,
+            boxes=_boxes(said["boxes"]) if "boxes" in said else None,
         )
 
     def __str__(self) -> str:
@@ -59,6 +68,9 @@ class Link:
         said = {"map": self.map, "robot": self.robot}
         via = (f"{_text(point.pose)}{_STAND * point.stands}" for point in self.via)
         said |= {"start": _text(self.start), "via": ";".join(via), "goal": _text(self.goal)}
+        if self.boxes is not None:
+            boxes = (",".join(f"{round(v, 3) + 0.0:.10g}" for v in box) for box in self.boxes)
+            said["boxes"] = ";".join(boxes) or _NO_BOXES
         return "&".join(f"{word}={quote(text, safe=',;/')}" for word, text in said.items() if text)
 
     def leaves(self, ahead: Sequence[Waypoint]) -> bool:
@@ -87,6 +99,26 @@ def _pose(word: str, text: str) -> Pose:
         return finite_pose(parse_pose(text))
     except ValueError as error:
         raise InputError(f"{word} in the link: {error}") from None
+
+
+def _boxes(text: str) -> tuple[Box, ...]:
+    texts = [] if text == _NO_BOXES else text.split(";")
+    if len(texts) > MOST_BOXES:
+        raise InputError(f"{len(texts)} boxes in the link: {MOST_BOXES} are as many as can be")
+    return tuple(_box(one) for one in texts)
+
+
+def _box(text: str) -> Box:
+    numbers = []
+    with contextlib.suppress(ValueError):
+        numbers = [float(word) for word in text.split(",")]
+    fits = len(numbers) == len(Box._fields) and all(abs(v) <= _FARTHEST_BOX_M for v in numbers)
+    if not fits or not all(0 < size_m <= _LARGEST_BOX_M for size_m in numbers[2:]):
+        raise InputError(
+            f"box in the link: {text!r} is not a box; write X,Y and its size along x and y in "
+            "metres, such as 2,1,0.4,0.4"
+        )
+    return Box(*numbers)
 
 
 def _text(pose: Pose | None) -> str:

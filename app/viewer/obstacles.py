@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -15,6 +15,8 @@ from sim.scene import WALL_HEIGHT_M
 
 BOX_RGB = (214, 126, 36)
 MOST_BOXES = 50
+# Boxes in the world may be told to the millimetre: so much is taken off each side again.
+_ROUNDED_M = 0.001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +34,34 @@ class Obstacle:
         away_x = max(abs(x_m - self.x_m) - self.size_x_m / 2, 0.0)
         away_y = max(abs(y_m - self.y_m) - self.size_y_m / 2, 0.0)
         return float(np.hypot(away_x, away_y))
+
+
+class Box(NamedTuple):
+    """A box in metres: its middle in the world, and its extents along x and y of the grid frame."""
+
+    x_m: float
+    y_m: float
+    size_x_m: float
+    size_y_m: float
+
+
+def boxes_of(obstacles: Iterable[Obstacle], grid: OccupancyGrid) -> tuple[Box, ...]:
+    """The boxes as they stand in the world."""
+    return tuple(
+        Box(*map(float, grid.grid_to_world((it.x_m, it.y_m))), it.size_x_m, it.size_y_m)
+        for it in obstacles
+    )
+
+
+def obstacles_of(boxes: Iterable[Box], grid: OccupancyGrid) -> tuple[Obstacle, ...]:
+    """The boxes on the map, whole cells of it; those of `boxes_of` cover the same cells again."""
+    found = []
+    for number, box in enumerate(boxes):
+        x_m, y_m = (float(value) for value in grid.world_to_grid((box.x_m, box.y_m)))
+        size_x_m, size_y_m = (max(size_m - 2 * _ROUNDED_M, 0.0) for size_m in box[2:])
+        obstacle = Obstacle(number=number, x_m=x_m, y_m=y_m, size_x_m=size_x_m, size_y_m=size_y_m)
+        found.append(snapped(obstacle, grid))
+    return tuple(found)
 
 
 def snapped(obstacle: Obstacle, grid: OccupancyGrid) -> Obstacle:

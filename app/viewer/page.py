@@ -22,7 +22,7 @@ from app.viewer.address import Addresses, Link, is_same
 from app.viewer.camera import Cameras
 from app.viewer.map_chooser import MapChooser
 from app.viewer.markers import Footprints, PoseMarkers
-from app.viewer.obstacles import Obstacle, ObstacleEditor
+from app.viewer.obstacles import Obstacle, ObstacleEditor, boxes_of, cells_below, obstacles_of
 from app.viewer.panel import Panel
 from app.viewer.planner_marks import PlannerMarks, SearchMarks
 from app.viewer.pointer import (
@@ -168,6 +168,7 @@ class Page:
             start=now.start,
             via=now.waypoints,
             goal=goal,
+            boxes=boxes_of(now.obstacles, self._grid),
         )
 
     def follow(self, link: Link) -> None:
@@ -187,7 +188,12 @@ class Page:
             return
         if begins_anew:
             self.panel.robot.value = link.robot
-        if link.start is not None and not is_same(link.start, now.start):
+        is_put = link.start is not None and not is_same(link.start, now.start)
+        if link.boxes is not None:
+            # Before it is put there: it may be where a box stands that goes.
+            stood = (link.start or now.start) if begins_anew or is_put else None
+            self._put_boxes(obstacles_of(link.boxes, self._grid), stood)
+        if is_put:
             self.session.reset(link.start)
             begins_anew = True
         is_other_goal = link.goal is not None and not is_same(link.goal, now.goal)
@@ -303,6 +309,19 @@ class Page:
     def _boxes_changed(self, obstacles: Sequence[Obstacle]) -> None:
         self._pointer.surface = self._bare_surface.with_boxes(obstacles)
         self.session.set_obstacles(obstacles)
+
+    def _put_boxes(self, wanted: Sequence[Obstacle], stood: Pose | None) -> None:
+        """Sets these boxes and no others; `stood` is where the robot is about to be put."""
+        now = self.session.snapshot.obstacles
+        if [cells_below(it, self._grid) for it in wanted] == [
+            cells_below(it, self._grid) for it in now
+        ]:
+            return
+        free = tuple(it for it in wanted if not self.session.is_on_robot(it, stood))
+        if len(free) < len(wanted):
+            self._say("no box can stand on the robot: one of the link is left out")
+        self.obstacle_editor.put(free)
+        self._boxes_changed(free)
 
     def _hold_camera(self, client_id: int) -> None:
         self.cameras.hold(client_id)

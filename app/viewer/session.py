@@ -229,9 +229,10 @@ class Session:
         walk.followed, walk.qpos = list(walk.followed), list(walk.qpos)
         return walk
 
-    def is_on_robot(self, obstacle: Obstacle) -> bool:
-        """Whether there is no room for the box because the robot stands there."""
-        x_m, y_m = self.setup.bare_grid.world_to_grid(self.snapshot.qpos[:2])
+    def is_on_robot(self, obstacle: Obstacle, stood: Sequence[float] | None = None) -> bool:
+        """Whether there is no room for the box because the robot stands there, or at a pose."""
+        place = self.snapshot.qpos if stood is None else stood
+        x_m, y_m = self.setup.bare_grid.world_to_grid(place[:2])
         return obstacle.distance_m(float(x_m), float(y_m)) < ROOM_FOR_ROBOT_M
 
     def _run(self) -> None:
