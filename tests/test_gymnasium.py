@@ -8,6 +8,7 @@ import re
 import warnings
 from typing import Any
 
+import av
 import gymnasium
 import numpy as np
 import pytest
@@ -340,6 +341,82 @@ def pictures(tmp_path_factory) -> np.ndarray:
     environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
     drawn_by("-c", DRAW, path, env=environment)
     return picture_at(path).reshape(-1, 480, 640, 3)
+
+
+RECORD = """
+import sys
+from types import ModuleType
+
+import av
+import gymnasium
+import numpy as np
+from gymnasium.wrappers.vector import NormalizeObservation, RecordVideo
+import controller.gym_env
+from controller.env import TaskConfig
+from sim.gl import NoGlError
+
+
+class Clip:
+    def __init__(self, frames, fps):
+        self.frames, self.fps = frames, fps
+
+    def write_videofile(self, path, logger):
+        with av.open(path, "w") as film:
+            stream = film.add_stream("mpeg4", rate=self.fps)
+            stream.height, stream.width = self.frames[0].shape[:2]
+            stream.bit_rate = 8_000_000
+            for frame in self.frames:
+                film.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
+            film.mux(stream.encode(None))
+
+
+# Gymnasium writes films by MoviePy, which is not among the dependencies.
+try:
+    import moviepy
+except ImportError:
+    names = "moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip"
+    sys.modules |= {name: ModuleType(name) for name in names}
+    sys.modules[names[-1]].ImageSequenceClip = Clip
+
+try:
+    envs = gymnasium.make_vec(
+        "Footfall/Jvrc1-v0",
+        num_envs=2,
+        mode="standing",
+        render_mode="rgb_array",
+        autoreset_mode="NextStep",
+        config=TaskConfig(episode_ticks=int(sys.argv[2])),
+    )
+except NoGlError as error:
+    sys.exit(str(error))
+films = RecordVideo(NormalizeObservation(envs), sys.argv[1], episode_trigger=lambda episode: True)
+films.reset(seed=[3, 4])
+seen = [np.hstack(envs.render())]
+fold = 0.3 * np.tile([-1.0, 0, 0, 2.0, 0, -1.0], (2, 2))
+# Two episodes, and a step in which the second one begins.
+for _ in range(2 * int(sys.argv[2]) + 1):
+    films.step(fold)
+    seen.append(np.hstack(envs.render()))
+films.close()
+np.save(sys.argv[3], seen)
+"""
+
+
+@pytest.mark.slow
+def test_gymnasiums_recorder_films_each_episode_from_its_first_state_to_its_last(tmp_path):
+    environment = {name: value for name, value in os.environ.items() if name != "MUJOCO_GL"}
+    seen_file = tmp_path / "seen.npy"
+    drawn_by("-c", RECORD, tmp_path / "films", TICKS, seen_file, env=environment)
+    seen = np.load(seen_file).reshape(2, TICKS + 1, 480, 2 * 640, 3)
+    for episode, pictures in enumerate(seen):
+        with av.open(str(tmp_path / "films" / f"rl-video-episode-{episode}.mp4")) as container:
+            assert container.streams.video[0].average_rate == 40
+            frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        assert np.shape(frames) == pictures.shape
+        # A film is not exact, but each frame is more like its moment than like any other.
+        off = [[np.abs(p.astype(int) - f).mean() for p in pictures] for f in frames]
+        assert np.argmin(off, axis=1).tolist() == list(range(TICKS + 1))
+    assert len(list((tmp_path / "films").iterdir())) == 2
 
 
 @pytest.mark.slow
