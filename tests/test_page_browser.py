@@ -62,11 +62,11 @@ if BROWSER is None:
 WIDTH_PX, HEIGHT_PX = 900, 600
 
 
-def pixel_of(x_m: float, y_m: float) -> tuple[float, float]:
-    """Where a page's first view shows a point of the hall's floor."""
+def pixel_of(x_m: float, y_m: float, z_m: float = 0.0) -> tuple[float, float]:
+    """Where a page's first view shows a point of the hall, on its floor or above."""
     sight = overview(HALL, WIDTH_PX / HEIGHT_PX)
     right = np.array([1.0, 0.0, 0.0])
-    away_m = np.array([x_m, y_m, 0.0]) - sight.position_m
+    away_m = np.array([x_m, y_m, z_m]) - sight.position_m
     scale = HEIGHT_PX / 2 / np.tan(FIELD_OF_VIEW_RAD / 2) / (away_m @ sight.forward)
     up = np.cross(right, sight.forward)
     return WIDTH_PX / 2 + scale * (away_m @ right), HEIGHT_PX / 2 - scale * (away_m @ up)
@@ -253,6 +253,41 @@ def test_the_address_opens_the_same_on_a_dark_phone(visit, address):
     assert box["width"] == 390
     page.get_by_role("button", name="Undo", exact=True).click()
     page.wait_for_function("!/goal=1,0.5/.test(location.search)")
+    assert visit.errors == []
+
+
+@pytest.mark.slow
+def test_light_is_even_and_shadows_are_soft(visit, address):
+    """On a box that the address puts there, as seen from where a page begins."""
+    page = visit.page
+    page.goto(f"{address}/?start=-1,-2,0deg&boxes=2,0,1,1")
+    page.wait_for_function("/boxes=2,0,1,1(&|$)/.test(location.search)")
+    visit.heading("Standing")
+
+    def brightness() -> dict[str, float]:
+        picture = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert picture is not None
+        seen = {
+            "top": (2.0, 0.0, 1.0),
+            "side": (2.0, -0.5, 0.5),
+            "floor": (3.3, -0.3, 0.0),
+            "shadow": (2.72, 0.6, 0.0),
+        }
+        at = {name: np.rint(pixel_of(*point)).astype(int) for name, point in seen.items()}
+        return {
+            name: float(np.median(picture[v - 2 : v + 3, u - 2 : u + 3]))
+            for name, (u, v) in at.items()
+        }
+
+    # The scene fades in.
+    before, now = {}, brightness()
+    while now != before:
+        page.wait_for_timeout(2000)
+        before, now = now, brightness()
+    assert 0.6 < now["side"] / now["top"] < 0.95
+    assert 0.75 < now["shadow"] / now["floor"] < 0.98
+    page.goto(f"{address}/?boxes=none")
+    page.wait_for_function("/boxes=none/.test(location.search)")
     assert visit.errors == []
 
 

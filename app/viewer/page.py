@@ -36,7 +36,7 @@ from app.viewer.pointer import (
     facing,
     surface_of,
 )
-from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
+from app.viewer.scene import RobotScene, add_floor, add_lights, robot_meshes_of
 from app.viewer.server import LOCAL, PageServer, open_server
 from app.viewer.session import Session
 from app.viewer.snapshot import Snapshot
@@ -102,6 +102,7 @@ class Page:
         self._drawing = threading.Lock()
         scene, grid, robot = server.scene, self._grid, session.setup.robot
         self._bare_surface = surface_of(grid)
+        add_lights(scene)
         self._pointer = FloorPointer(
             add_floor(scene, grid),
             self._bare_surface,

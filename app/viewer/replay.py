@@ -17,7 +17,7 @@ from app.pictures.canvas import LEFT, RIGHT, hex_of
 from app.pictures.rendering import Recording
 from app.viewer.camera import aim_pages, overview
 from app.viewer.markers import Footprints, Marker
-from app.viewer.scene import RobotScene, add_floor, robot_meshes_of
+from app.viewer.scene import RobotScene, add_floor, add_lights, robot_meshes_of
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
@@ -56,6 +56,7 @@ def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) ->
     try:
         # Before the recording begins: what comes later moves the camera while the walk plays.
         aim_pages(server, overview(grid, _ASPECT, beside_panel=False))
+        add_lights(server.scene)
         add_floor(server.scene, grid)
         goal = Marker(server.scene, "/goal", height_m=lambda pose: float(grid.height_m(pose[:2])))
         goal.show(story.goal)

@@ -48,7 +48,7 @@ class Palette:
 
 
 LIGHT = Palette(
-    floor=(205, 208, 212),
+    floor=(186, 189, 194),
     line=(178, 182, 188),
     wall=(150, 134, 114),
     unknown=(150, 153, 158),
@@ -62,6 +62,9 @@ DARK = Palette(
     highest=(112, 94, 66),
 )
 FLOOR_RGB = LIGHT.floor
+# viser's own sun stands in the north: walls would show their dark side to a page's first view.
+_SUN_M = (-3.0, -4.0, 8.0)
+_SUN, _SKY = 2.6, 0.1
 
 
 def map_colours(palette: Palette) -> dict[str, dict[str, Rgb]]:
@@ -142,6 +145,13 @@ def _runs(near_m: FloatArray, far_m: FloatArray) -> FloatArray:
         runs = np.column_stack([np.full(len(starts), col), starts, ends, pair[starts]])
         found.append(runs[is_face])
     return np.concatenate(found)
+
+
+def add_lights(scene: viser.SceneApi) -> None:
+    """A sun in the south-west, where a page's first view is from, and light from everywhere."""
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_directional("/light/sun", intensity=_SUN, cast_shadow=True, position=_SUN_M)
+    scene.add_light_ambient("/light/sky", intensity=_SKY)
 
 
 def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
