@@ -70,10 +70,9 @@ def watched_page(grid: OccupancyGrid) -> Iterator[tuple[Page, Watcher]]:
         painted_in_background(page),
     ):
         watcher = Watcher(page.server.url)
-        # As `serve` does before it says that its page is up.
-        wait(lambda: page.session.is_ready(wait_s=1.0))
         page.session.start()
-        wait(lambda: page.visitors == 1)
+        # A click waits for a planner that is still loading.
+        wait(lambda: page.visitors == 1 and not page.session.snapshot.loading)
         yield page, watcher
         watcher.close()
 

@@ -47,10 +47,11 @@ class Box(NamedTuple):
 
 def boxes_of(obstacles: Iterable[Obstacle], grid: OccupancyGrid) -> tuple[Box, ...]:
     """The boxes as they stand in the world."""
-    return tuple(
-        Box(*map(float, grid.grid_to_world((it.x_m, it.y_m))), it.size_x_m, it.size_y_m)
-        for it in obstacles
-    )
+    found = []
+    for obstacle in obstacles:
+        x_m, y_m = (float(v) for v in grid.grid_to_world((obstacle.x_m, obstacle.y_m)))
+        found.append(Box(x_m, y_m, obstacle.size_x_m, obstacle.size_y_m))
+    return tuple(found)
 
 
 def obstacles_of(boxes: Iterable[Box], grid: OccupancyGrid) -> tuple[Obstacle, ...]:
