@@ -18,6 +18,9 @@ SWING_FOOT_SHARE = 0.7
 # Apex of the swing on level ground, and its increase per metre of climb: edges and treads that are
 # not where they seem need more clearance than level ground and the sills on it.
 SWING_APEX_M, APEX_PER_CLIMB = 0.07, 0.3
+# A foot that steps down goes ahead before it comes down, or its heel catches on the edge behind it:
+# it has gone its way after `AHEAD_GONE` of the swing, and its ground falls during `DOWN_GONE`.
+AHEAD_GONE, DOWN_GONE, DOWN_M = 0.75, (0.4, 0.85), 0.05
 # Sole speed allowed at the ground, its increase per metre of height, and up to which height.
 TOUCHDOWN_M_S, FASTER_PER_S, NEAR_GROUND_M = 0.08, 12.0, 0.06
 
@@ -99,18 +102,29 @@ class RewardInputs:
     landing_overspeed_m_s: np.ndarray
 
 
-def swing_ground_m(sole: np.ndarray, start: np.ndarray, target: np.ndarray) -> np.ndarray:
+def swing_ground_m(
+    sole: np.ndarray,
+    start: np.ndarray,
+    target: np.ndarray,
+    swing_gone: np.ndarray,
+    foot_length_m: float,
+) -> np.ndarray:
     """Reference ground height (n,) under a swing foot, from poses (n, 4) in the world.
 
     Upward it rises from the start's height to the target's over the first half of the horizontal
-    distance, since the toe passes the edges ahead of the foot's middle; downward it falls over the
-    second half, since the heel clears them late.
+    distance, since the toe passes the edges ahead of the foot's middle. Downward it falls in time,
+    `DOWN_GONE` being shares (from, to) of the swing's, but not before the heel is past an edge
+    midway; `swing_gone` (n,) is the share that is over.
     """
     way = target[:, :2] - start[:, :2]
     length_2 = np.maximum(np.sum(way**2, axis=1), 1e-6)
     done = np.clip(np.sum((sole[:, :2] - start[:, :2]) * way, axis=1) / length_2, 0.0, 1.0)
     change = target[:, 2] - start[:, 2]
-    share = np.where(change > 0, np.minimum(2 * done, 1.0), np.maximum(2 * done - 1.0, 0.0))
+    heel_past = np.minimum(0.5 + foot_length_m / 2 / np.sqrt(length_2), 0.95)
+    past = np.clip(1 - (heel_past - done) / 0.15, 0.0, 1.0)
+    since, until = DOWN_GONE
+    lowered = swing_way_gone(np.clip((swing_gone - since) / (until - since), 0.0, 1.0))
+    share = np.where(change > 0, np.minimum(2 * done, 1.0), np.minimum(past, lowered))
     return np.asarray(start[:, 2] + share * change)
 
 
@@ -143,9 +157,10 @@ def swing_path_error_m(
     """Horizontal distance (n,) of a swing foot from where it should be, from poses (n, 4).
 
     In mid-swing as much is forgiven as the step rises or falls: a foot may have to pass an edge
-    before or after it moves ahead.
+    before or after it moves ahead. On steps that fall by `DOWN_M` or more it is ahead of time.
     """
-    gone = swing_way_gone(swing_gone)
+    fall = np.clip((start[:, 2] - target[:, 2]) / DOWN_M, 0.0, 1.0)
+    gone = swing_way_gone(np.minimum(swing_gone / (1 - fall * (1 - AHEAD_GONE)), 1.0))
     place = start[:, :2] + gone[:, None] * (target[:, :2] - start[:, :2])
     forgiven_m = 4 * gone * (1 - gone) * np.abs(target[:, 2] - start[:, 2])
     return np.maximum(np.linalg.norm(sole[:, :2] - place, axis=1) - forgiven_m, 0.0)
@@ -200,7 +215,13 @@ def _swing_inputs(walker: Walker, step: StepTargets, soles: np.ndarray) -> dict[
     share = np.full(targets.shape[:2], 0.5)
     share[foot], share[rows, 1 - step.side[rows]] = SWING_FOOT_SHARE, 1 - SWING_FOOT_SHARE
     ground_z = targets[..., 2].copy()
-    ground_z[foot] = swing_ground_m(soles[foot], step.lift_off[rows], targets[foot])
+    ground_z[foot] = swing_ground_m(
+        soles[foot],
+        step.lift_off[rows],
+        targets[foot],
+        step.swing_gone[rows],
+        walker.robot.step_model.foot.length_m,
+    )
     height_m = soles[..., 2] - ground_z
     climb_m = np.abs(targets[:, 0, 2] - targets[:, 1, 2])
     climb_m[rows] = np.maximum(climb_m[rows], np.abs(targets[foot][:, 2] - step.lift_off[rows, 2]))

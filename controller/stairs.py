@@ -30,6 +30,9 @@ KIND_SHARES: Mapping[str, float] = {
 RUN_M = (0.25, 0.30)
 EDGE_MARGIN_M = 0.005
 TRIES = 20
+# Flights on which both feet stand on each place. The second foot down is the hardest to learn: the
+# step that it sees is level with the other foot, and its heel has to pass the edge behind it.
+BOTH_FEET_SHARE = 0.6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +72,7 @@ def draw_stairs(
     if mode == "stairs":
         kinds = list(KIND_SHARES)
         mode = str(rng.choice(kinds, p=np.array(list(KIND_SHARES.values()))))
-    both_feet = bool(rng.uniform() < 0.25) and steps >= 6
+    both_feet = bool(rng.uniform() < BOTH_FEET_SHARE) and steps >= 6
     step = np.arange(steps)
     place = np.where(step < steps - 1, step // 2 if both_feet else step, steps - 2) + 1
     if both_feet:

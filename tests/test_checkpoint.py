@@ -89,11 +89,11 @@ def test_impossible_curriculum_is_refused_by_its_name(values):
         Curriculum(**values)
 
 
-def lift(done_x_m, rise_m, y_m=0.0, way_m=0.4):
-    """Reference for a foot at x of a way along x, over a start at height 1."""
+def lift(done_x_m, rise_m, y_m=0.0, way_m=0.4, gone=0.5):
+    """Reference for a foot of 20 cm at x of a way along x, over a start at height 1."""
     sole = np.array([[done_x_m, y_m, 9.0, 0.0]])
     start, target = np.array([[0, 0, 1.0, 0.0]]), np.array([[way_m, 0, 1.0 + rise_m, 0.0]])
-    return float(swing_ground_m(sole, start, target)[0])
+    return float(swing_ground_m(sole, start, target, np.array([gone]), 0.20)[0])
 
 
 @pytest.mark.parametrize("x_m", [-0.1, 0.0, 0.13, 0.4, 0.6])
@@ -103,21 +103,40 @@ def test_ground_under_a_swing_on_the_level_is_the_level(x_m):
 
 
 @pytest.mark.parametrize(
-    ("x_m", "up_m", "down_m"),
+    ("x_m", "up_m"),
     [
-        (-0.1, 1.00, 1.00),  # swung back first
-        (0.0, 1.00, 1.00),
-        (0.1, 1.05, 1.00),  # a quarter of the way
-        (0.2, 1.10, 1.00),
-        (0.3, 1.10, 0.95),  # three quarters
-        (0.4, 1.10, 0.90),
-        (0.5, 1.10, 0.90),  # past its target
+        (-0.1, 1.00),  # swung back first
+        (0.0, 1.00),
+        (0.1, 1.05),  # a quarter of the way
+        (0.2, 1.10),
+        (0.3, 1.10),
+        (0.5, 1.10),  # past its target
     ],
 )
-def test_ground_rises_early_going_up_and_falls_late_going_down(x_m, up_m, down_m):
+def test_ground_rises_early_going_up(x_m, up_m):
     assert lift(x_m, 0.10) == pytest.approx(up_m)
-    assert lift(x_m, -0.10) == pytest.approx(down_m)
     assert lift(x_m, 0.10, y_m=0.3) == pytest.approx(up_m)  # only the way along counts
+
+
+@pytest.mark.parametrize(
+    ("x_m", "gone", "down_m"),
+    [
+        (-0.1, 0.9, 1.00),
+        (0.24, 0.9, 1.00),  # the edge is at 0.2, the heel still 6 cm behind it
+        (0.27, 0.9, 0.95),
+        (0.30, 0.9, 0.90),  # past it
+        (0.50, 0.9, 0.90),
+        (0.40, 0.4, 1.00),  # there before its time
+        (0.40, 0.625, 0.95),
+        (0.40, 0.85, 0.90),
+    ],
+)
+def test_ground_falls_once_the_heel_is_past_the_edge_and_it_is_time(x_m, gone, down_m):
+    assert lift(x_m, -0.10, gone=gone) == pytest.approx(down_m)
+
+
+def test_ground_falls_at_the_end_of_a_step_shorter_than_the_foot():
+    assert lift(0.1, -0.10, way_m=0.1, gone=0.9) == pytest.approx(0.90)
 
 
 # Checkpoints: what is refused, in one line, and what outlives a full disk.

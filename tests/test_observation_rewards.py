@@ -284,10 +284,17 @@ def test_a_swing_foot_goes_its_way_by_minimum_jerk():
 
 @pytest.mark.parametrize(
     ("rise_m", "x_m", "expected_m"),
-    [(0.0, 1.3, 0.0), (0.0, 1.0, 0.3), (0.1, 1.0, 0.2), (-0.1, 1.35, 0.0)],
+    [
+        (0.0, 1.3, 0.0),
+        (0.0, 1.0, 0.3),
+        (0.1, 1.0, 0.2),
+        # Ahead of time: at 2/3 of it, so 64 / 81 of the way are gone and 6.63 cm forgiven.
+        (-0.1, 1.3, 0.6 * 64 / 81 - 0.3 - 0.4 * 64 / 81 * 17 / 81),
+        (-0.1, 1.5, 0.0),
+    ],
 )
 def test_a_climbing_foot_may_be_off_its_way_by_the_rise(rise_m, x_m, expected_m):
-    """Half its time over, on the way from x = 1 to x = 1.6."""
+    """Half its time over, on the way from x = 1 to x = 1.6; a foot that steps down is ahead."""
     sole, start = np.array([[x_m, 0.0, 0.0, 0.0]]), np.array([[1.0, 0.0, 0.0, 0.0]])
     target = np.array([[1.6, 0.0, rise_m, 0.0]])
     error_m = ri.swing_path_error_m(sole, start, target, np.array([0.5]))
