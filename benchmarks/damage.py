@@ -180,7 +180,7 @@ def odd_tensor(tensor: torch.Tensor, draw: random.Random) -> torch.Tensor:
         tensor.to_sparse(),
         torch.zeros(()),
         torch.zeros(1).expand(10**10),
-        torch.zeros(1).expand(tensor.shape),
+        torch.zeros([1] * tensor.ndim).expand(tensor.shape),
     )
     return draw.choice(odd)
 

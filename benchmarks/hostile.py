@@ -38,7 +38,8 @@ import msgspec
 import tyro
 import viser
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
+from websockets.sync.connection import Connection
 
 from app.controllers import load_walker
 from app.viewer.access import COOKIE
@@ -189,7 +190,7 @@ def frame(draw: random.Random) -> tuple[str, str | bytes]:
     return kind, frames[kind]()
 
 
-def rude(draw: random.Random, page: ClientConnection) -> str:
+def rude(draw: random.Random, page: Connection) -> str:
     """Does what costs a server but is a page's right, and leaves; the kind of it."""
     kind = draw.choice(("nan", "flood", "half a frame", "nothing", "no such node"))
     if kind == "nan":

@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import io
 import socket
-from collections.abc import AsyncGenerator, Sequence
+from collections.abc import AsyncGenerator, Mapping, Sequence
 from functools import partial
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
@@ -209,7 +209,7 @@ def use_theme(gui: viser.GuiApi, *, is_dark: bool) -> None:
 def _end_who_sends_nonsense(server: PageServer) -> None:
     """Ends the connection of a page whose message fails; viser would go on, with a traceback."""
     sockets = server._websock_server
-    handle = sockets._handle_incoming_message
+    handle: Any = sockets._handle_incoming_message
 
     async def handled(client_id: int, message: Any) -> None:
         try:
@@ -232,7 +232,7 @@ def _end_who_sends_nonsense(server: PageServer) -> None:
 
         connection._handle_incoming_message = handled_own
 
-    sockets._handle_incoming_message = handled
+    sockets._handle_incoming_message = handled  # type: ignore[method-assign]
     sockets.on_client_connect(guard)
 
 
@@ -249,7 +249,7 @@ def _may_be_carried_out(server: PageServer, client_id: int, message: Any) -> boo
         _check_upload(server, client_id, message)
     if not isinstance(message, GuiUpdateMessage):
         return True
-    clients = server.get_clients()
+    clients: Mapping[int, viser.ClientHandle] = {**server.get_clients()}
     apis = [server.gui, *([clients[client_id].gui] if client_id in clients else [])]
     inputs = (api._gui_input_handle_from_uuid.get(message.uuid) for api in apis)
     handle = next((found for found in inputs if found is not None), None)
@@ -259,7 +259,7 @@ def _may_be_carried_out(server: PageServer, client_id: int, message: Any) -> boo
         return True
     value, props = message.updates["value"], handle._impl.props
     if not is_alike(value, handle._impl.value):
-        raise ValueError(f"a value of {type(value).__name__} for {props.label}")
+        raise ValueError(f"a value of {type(value).__name__} for {type(props).__name__}")
     if isinstance(props, GuiSliderProps):
         return bool(props.min <= value <= props.max)
     # Another visitor may have changed what there is to choose from.
@@ -280,8 +280,9 @@ def check_numbers(value: object) -> None:
 def is_alike(value: object, now: object) -> bool:
     """Whether a value is of the kind that a control has now."""
     if isinstance(now, tuple):
-        are = isinstance(value, list | tuple) and len(value) == len(now)
-        return are and all(map(is_alike, value, now))  # type: ignore[arg-type]
+        if not isinstance(value, list | tuple) or len(value) != len(now):
+            return False
+        return all(is_alike(part, part_now) for part, part_now in zip(value, now, strict=True))
     if isinstance(now, int | float) and not isinstance(now, bool):
         return isinstance(value, int | float) and not isinstance(value, bool)
     if isinstance(now, str):
