@@ -198,6 +198,13 @@ def test_numbers_that_are_not_finite_end_the_socket(local, capfd, field, value):
     assert "the number" in told
 
 
+@pytest.mark.filterwarnings("ignore:.*does not match annotation")
+@pytest.mark.parametrize("field", [field for field in CAMERA if field != "type"])
+@pytest.mark.parametrize("value", ["x", [], None])
+def test_cameras_of_another_kind_end_the_socket(local, capfd, field, value):
+    said_when(local, capfd, msgspec.msgpack.encode({**CAMERA, field: value}))
+
+
 @pytest.fixture(scope="module")
 def controls(local) -> dict[str, Any]:
     gui = local.gui

@@ -18,6 +18,7 @@ from viser._messages import (
     GuiSliderProps,
     GuiUpdateMessage,
     RunJavascriptMessage,
+    ViewerCameraMessage,
 )
 
 from app.output import InputError
@@ -28,6 +29,19 @@ from maps.images import MOST_BYTES
 LOCAL = "127.0.0.1"
 # Metres, pixels, seconds since 1970: no page has larger numbers, nor longer lists of waypoints.
 MOST_NUMBER, MOST_LETTERS = 1e15, 100_000
+# The kinds of numbers that a camera has; viser warns of others, and takes them.
+_POINT = (0.0, 0.0, 0.0)
+_CAMERA = {
+    "position": _POINT,
+    "look_at": _POINT,
+    "up_direction": _POINT,
+    "wxyz": (0.0, *_POINT),
+    "fov": 0.0,
+    "near": 0.0,
+    "far": 0.0,
+    "image_height": 0,
+    "image_width": 0,
+}
 MOST_UPLOADED, MOST_UPLOADS = MOST_BYTES, 3
 
 
@@ -245,6 +259,10 @@ def _may_be_carried_out(server: PageServer, client_id: int, message: Any) -> boo
         ValueError: No page of this server sends such a message.
     """
     check_numbers(vars(message))
+    if isinstance(message, ViewerCameraMessage):
+        odd = [name for name, was in _CAMERA.items() if not is_alike(getattr(message, name), was)]
+        if odd:
+            raise ValueError(f"a camera of another {', '.join(odd)}")
     if isinstance(message, FileTransferStartUpload | FileTransferPart):
         _check_upload(server, client_id, message)
     if not isinstance(message, GuiUpdateMessage):
