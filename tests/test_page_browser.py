@@ -280,7 +280,8 @@ def test_light_is_even_and_shadows_are_soft(visit, address):
         }
 
     # The scene fades in.
-    before, now = {}, brightness()
+    before: dict[str, float] = {}
+    now = brightness()
     while now != before:
         page.wait_for_timeout(2000)
         before, now = now, brightness()
