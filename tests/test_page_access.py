@@ -20,6 +20,7 @@ from websockets.typing import Subprotocol
 
 from app.viewer.access import COOKIE, LOOPBACK
 from app.viewer.server import PageServer, open_server
+from benchmarks.hostile import CAMERA
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 UPGRADE = {
@@ -173,20 +174,6 @@ def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
     for data in nonsense:
         said_when(local, capfd, data)
     assert answer(local, Host=f"127.0.0.1:{local.get_port()}").status == 200
-
-
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": (1.0, 0.0, 0.0, 0.0),
-    "position": (0.0, -5.0, 5.0),
-    "fov": 0.9,
-    "near": 0.01,
-    "far": 1000.0,
-    "image_height": 600,
-    "image_width": 900,
-    "look_at": (0.0, 0.0, 0.0),
-    "up_direction": (0.0, 0.0, 1.0),
-}
 
 
 @pytest.mark.parametrize(
