@@ -431,3 +431,53 @@ def test_jvrc1_wears_all_its_parts_where_its_shapes_are():
         assert abs(world[:, 2].min()) < 0.005
         sole = data.site(f"{side}_sole").xpos
         assert np.all(np.abs(world[:, :2].mean(axis=0) - sole[:2]) < 0.06)
+
+
+PRINTS = """
+import sys
+from pathlib import Path
+from app.pictures.rendering import Footmark, Recording, View, drawing
+from planner.robot_model import FootShape, Side
+from sim.gl import NoGlError, prepare_gl
+try:
+    prepare_gl()
+except NoGlError as error:
+    sys.exit(str(error))
+import cv2, mujoco, numpy as np
+model = mujoco.MjModel.from_xml_string('''
+<mujoco>
+  <worldbody>
+    <light pos="0 -4 5" dir="0 4 -5"/>
+    <geom type="plane" size="9 9 1" rgba="0.85 0.86 0.88 1"/>
+    <body pos="0 5 0.3"><freejoint/><geom type="sphere" size="0.1"/></body>
+  </worldbody>
+</mujoco>''')
+qpos = np.array([[0, 0, 0.3, 1, 0, 0, 0.0]])
+foot = FootShape(length_m=0.4, width_m=0.4)
+marks = [
+    Footmark(foot=foot, side=side, pose_world=np.array([x, y, 0.0, 0.0]), is_placed=y > 0, from_s=0)
+    for side, x in ((Side.LEFT, 0.5), (Side.RIGHT, -0.5)) for y in (-0.5, 0.5)
+]
+view = View(azimuth_deg=0.0, elevation_deg=-89.9, height_m=0.0)
+above = Recording(qpos=qpos, time_s=np.zeros(1))
+for name, fine in (("strip", True), ("film", False)):
+    with drawing(model, above, view, width=240, height=240, fine=fine, marks=marks) as drawer:
+        model.geom_rgba[1, 3] = 0.0
+        cv2.imwrite(str(Path(sys.argv[1]) / f"{name}.png"), drawer.draw(0)[:, :, ::-1])
+"""
+
+
+@pytest.mark.parametrize("name", ["strip", "film"])
+def test_planned_prints_are_paler_than_placed_ones_in_strips_and_films(tmp_path, name):
+    drawn_by("-c", PRINTS, tmp_path)
+    picture = picture_at(tmp_path / f"{name}.png").astype(float)
+    # As seen from above with x up: planned ones on the right, left feet on top.
+    pixels_per_m = 240 / 2 / (3.2 * np.tan(np.radians(22.5)))
+    at = np.rint(120 + pixels_per_m * 0.5 * np.array([-1, 1])).astype(int)
+    tiles = {(v, u): picture[v - 5 : v + 6, u - 5 : u + 6] for v in at for u in at}
+    grey = {place: tile.mean(axis=2) for place, tile in tiles.items()}
+    for v in at:
+        placed, planned = grey[v, at[0]], grey[v, at[1]]
+        assert planned.min() > placed.max() + 20
+        # Even: not speckled by shadows.
+        assert np.ptp(planned) < 8

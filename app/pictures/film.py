@@ -20,6 +20,7 @@ from app.pictures.rendering import (
     View,
     drawing,
     resampled,
+    shade,
 )
 
 if TYPE_CHECKING:
@@ -99,22 +100,22 @@ def captioned(picture: Picture, title: str, time: str) -> Picture:
     if band + int(cv2.getTextSize(title, font, size, 1)[0][0]) < time_at:
         write(title, band // 2, base)
     left, row = band // 2, height - band + base
-    for text, colour, share in _LEGEND:
+    for text, colour, is_pale in _LEGEND:
         ends = left + text_h + 8 + int(cv2.getTextSize(text, font, size, 1)[0][0])
         if ends > width:
             break
-        ink = tuple(int(share * v + (1 - share) * 230) for v in colour[::-1])
+        ink = shade(colour, is_pale=is_pale)[::-1]
         cv2.rectangle(picture, (left, row - text_h), (left + text_h, row), ink, -1)
         left = write(text, left + text_h + 8, row) + band
     return picture
 
 
-# Colours are blue, green, red; planned prints are pale.
+# Text, colour in blue, green, red, and whether it is pale.
 _LEGEND = (
-    ("left foot as placed", LEFT, 1.0),
-    ("right foot as placed", RIGHT, 1.0),
-    ("left as planned", LEFT, 0.4),
-    ("right as planned", RIGHT, 0.4),
+    ("left foot as placed", LEFT, False),
+    ("right foot as placed", RIGHT, False),
+    ("left as planned", LEFT, True),
+    ("right as planned", RIGHT, True),
 )
 
 

@@ -123,7 +123,7 @@ def _draw_key(whole: Picture, canvas: Canvas, at_px: tuple[int, int], unit: floa
         tail = np.rint(centre - 8 * unit * along).astype(int)
         cv2.arrowedLine(whole, tuple(tail), tuple(tip), INK, thick, cv2.LINE_AA, tipLength=0.3)
         (text_w, text_h), _ = cv2.getTextSize(name, cv2.FONT_HERSHEY_SIMPLEX, 0.5 * unit, 1)
-        at = np.rint(centre + along * 29 * unit + (-text_w / 2, text_h / 2)).astype(int)
+        at = np.rint(centre + along * 32 * unit + (-text_w / 2, text_h / 2)).astype(int)
         put_text(whole, name, int(at[0]), int(at[1]), size=0.5 * unit)
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from app.pictures.canvas import LEFT, RIGHT, FloatArray, Picture
+from app.pictures.canvas import LEFT, RIGHT, Colour, FloatArray, Picture
 from planner.plan import FootstepPlan
 from planner.robot_model import FootShape, Side
 from sim.gl import NoGlError
@@ -30,8 +30,9 @@ _MOST_BOXES = 4000  # beyond this each box is cut alone
 # Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
 _SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
 _SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)
-# Footprints: planned ones below placed ones, so that no two fight for the same pixels.
-_PLANNED_ALPHA, _PLACED_ALPHA = 0.35, 0.9
+# Footprints: planned ones below placed ones, so that no two fight for the same pixels. Pale ones
+# are mixed with white: glassy ones would lie in a shadow that they cast themselves, and look dark.
+PALE = 0.4
 _PLANNED_THICKNESS_M, _PLACED_THICKNESS_M = 0.004, 0.007
 
 
@@ -170,17 +171,25 @@ def add_footmarks(scene: mujoco.MjvScene, marks: Sequence[Footmark], time_s: flo
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         half_m = (_PLACED_THICKNESS_M if mark.is_placed else _PLANNED_THICKNESS_M) / 2
         # The colours of plans' pictures are written blue, green, red.
-        colour = (LEFT if mark.side is Side.LEFT else RIGHT)[::-1]
-        alpha = _PLACED_ALPHA if mark.is_placed else _PLANNED_ALPHA
+        colour = shade(
+            (LEFT if mark.side is Side.LEFT else RIGHT)[::-1], is_pale=not mark.is_placed
+        )
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom],
             mujoco.mjtGeom.mjGEOM_BOX.value,
             np.array([mark.foot.length_m / 2, mark.foot.width_m / 2, half_m]),
             np.array([x_m, y_m, z_m + half_m]),
             np.array([cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0]),
-            np.array([*(value / 255 for value in colour), alpha], np.float32),
+            np.array([*(value / 255 for value in colour), 1.0], np.float32),
         )
         scene.ngeom += 1
+
+
+def shade(colour: Colour, *, is_pale: bool) -> Colour:
+    """The colour of a footprint and of its legend: as it is, or mixed with white."""
+    share = PALE if is_pale else 1.0
+    first, second, third = (round(share * value + (1 - share) * 255) for value in colour)
+    return first, second, third
 
 
 def footmarks_of(
