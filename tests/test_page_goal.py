@@ -89,6 +89,11 @@ def test_a_refused_goal_can_be_corrected_and_leaves_the_one_that_holds(page, wat
     assert seen(page, "/goal") == pytest.approx((1.0, 0.5))
     assert seen(page, "/requested") is None
     assert seen(page, "/alternative")[0] < 3.0
+    # The fields show the goal while it is planned for; the offer comes with the refusal.
+    wait_until(lambda: page.panel.notice.visible)
+    # The word upon the wall goes up, that beside the wall down: neither covers the other.
+    assert node(page, "/refused/word").anchor == "bottom-center"
+    assert node(page, "/alternative/word").anchor == "top-center"
     page.panel.take_offer()
     wait_until(lambda: seen(page, "/goal")[0] > 1.5)
     wait_until(lambda: (seen(page, "/refused"), seen(page, "/alternative")) == (None, None))

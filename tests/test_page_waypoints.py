@@ -87,7 +87,7 @@ def test_a_waypoint_that_cannot_be_reached_is_named():
         planner, goal=GOAL, start_feet_world=feet, first_side=None, via=(VIA[0], wall)
     )
     assert not plan.found
-    assert plan.reason.startswith("waypoint 2: goal:")
+    assert plan.reason.startswith("waypoint 2: the left foot at 1.00,3.05 would be off")
     assert plan.goal == wall
 
 
@@ -183,3 +183,46 @@ def test_waypoints_are_clicked_with_shift_typed_reordered_and_cleared(page):
     page.session.undo()
     wait_until(lambda: listed() == "2, 0, 0, stand\n1, 0, 180")
     watcher.close()
+
+
+def test_a_refused_waypoint_leaves_the_typed_goal_and_moves_to_the_pose_on_offer(page):
+    watcher = Watcher(page.server.url)
+    wait_until(lambda: page.visitors == 1)
+    page.session.clock.factor = 0.0
+    wall = Waypoint(pose=(1.0, 2.95, 0.5))
+    page.session.set_waypoints([Waypoint(pose=VIA[0]), wall])
+    page.session.go_to(GOAL)
+    notice: Any = wait_until(lambda: page.session.snapshot.notice)
+    assert notice.text.startswith("no plan: waypoint 2: the left foot at")
+    assert notice.waypoint == wall
+    wait_until(lambda: page.panel.goal.pose == pytest.approx(GOAL))
+    # One word for both, so that none covers the other; that at the free pose is above.
+    label = page.server.scene.get_handle_by_name("/waypoint_1/word")
+    wait_until(lambda: label.text == "2, refused")
+    assert label.anchor == "bottom-center"
+    assert page.server.scene.get_handle_by_name("/alternative/word").anchor == "top-center"
+    assert not page.server.scene.get_handle_by_name("/refused").visible
+    wait_until(lambda: page.server.scene.get_handle_by_name("/alternative").visible)
+    wait_until(lambda: "Move the waypoint" in page.panel._take_offer.label)
+    page.panel.take_offer()
+    wait_until(lambda: page.session.snapshot.goal == GOAL)
+    now = page.session.snapshot
+    assert now.waypoints == (Waypoint(pose=VIA[0]), Waypoint(pose=notice.alternative))
+    assert now.notice is None
+    wait_until(lambda: label.text == "2")
+    watcher.close()
+
+
+def test_a_waypoint_to_stand_at_is_named_too_and_refused_alone(page):
+    page.session.clock.factor = 0.0
+    page.session.set_waypoints([Waypoint(pose=(1.0, 2.95, 0.5), stands=True)])
+    page.session.go_to(GOAL)
+    notice: Any = wait_until(lambda: page.session.snapshot.notice)
+    assert notice.text.startswith("no plan: waypoint 1: the left foot at")
+    page.session.set_waypoints([])
+    page.session.go_to((1.0, 2.95, 0.5))
+    other: Any = wait_until(
+        lambda: page.session.snapshot.notice != notice and page.session.snapshot.notice
+    )
+    assert other.text.startswith("no plan: goal: ")
+    assert other.waypoint is None

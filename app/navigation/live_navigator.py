@@ -11,7 +11,7 @@ import numpy as np
 from app.navigation.navigator import Navigator
 from app.navigation.placed import Placed
 from app.navigation.report import Outcome
-from app.navigation.route import FootstepPlanner, halting_plan
+from app.navigation.route import FootstepPlanner, Waypoint, halting_plan
 from controller.evaluation.gait_summary import GaitRecorder
 from controller.gait import CONTROL_PERIOD_S
 from controller.step_cursor import STANCE
@@ -188,14 +188,17 @@ class LiveNavigator(Navigator):
 class Notice:
     """Something that went wrong, in words, and a pose that would do instead, if one is known.
 
-    Both poses are goals, or with `puts_robot` places for the robot to begin anew. `narrow_place` is
-    what is too narrow on the way to a goal.
+    Both poses are goals, or with `puts_robot` places for the robot to begin anew, or with
+    `waypoint`, which is the one that is refused, poses for that. `goal` is what somebody asked for,
+    `narrow_place` what is too narrow on the way there.
     """
 
     text: str
     refused: Pose | None = None
     alternative: Pose | None = None
     puts_robot: bool = False
+    waypoint: Waypoint | None = None
+    goal: Pose | None = None
     narrow_place: NarrowPlace | None = None
 
 

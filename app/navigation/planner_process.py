@@ -64,8 +64,8 @@ class Query:
 class Answer:
     """A plan for the query of that number; after the first may come one better one.
 
-    `alternative` is a pose near by that would do when the goal of the query does not. A plan that
-    fails on the way has the pose that it does not reach for its goal. `record` tells of the search
+    A plan that fails on the way has the pose that it does not reach for its goal; `alternative` is
+    a pose near by that would do instead of that. `record` tells of the search
     for its last leg, if the options ask for that.
     """
 
@@ -163,8 +163,9 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
     plan = plan_through(planners.quick, **asked)
     improvable = plan.found and len(plan) > 0 and plan.epsilon > world.options.final_epsilon
     alternative = None
-    if not plan.found and plan.goal == finite_pose(asked["goal"]):
-        alternative = _alternative(world, planners.quick, asked, plan.status)
+    if not plan.found:
+        failed = _as_far_as(asked, plan.goal)
+        alternative = _alternative(world, planners.quick, failed, plan.status)
     record = planners.quick.record
     answer = Answer(number=number, plan=plan, alternative=alternative, record=record)
     pipe.send(replace(answer, is_last=not improvable))
@@ -174,6 +175,15 @@ def _answer(pipe: Connection, world: World, planners: _Planners, query: Query) -
         if better.found and better.cost_m <= plan.cost_m:
             plan = replace(better, time_to_first_s=plan.time_s)
         pipe.send(Answer(number=number, plan=plan, record=planners.thorough.record))
+
+
+def _as_far_as(asked: Asked, pose: Pose) -> Asked:
+    """The question for the way to that pose alone, which is the goal or on the way there."""
+    via = asked.get("via", ())
+    before = [finite_pose(other) for other in via]
+    if pose in before:
+        via = via[: before.index(pose)]
+    return {**asked, "goal": pose, "via": via}
 
 
 def _alternative(world: World, planner: Planner, asked: Asked, status: PlanStatus) -> Pose | None:

@@ -219,12 +219,17 @@ class Replanner:
             self.ask(question.goal, fresh=question.fresh)
 
     def _no_plan(self, question: Question, answer: Answer) -> None:
-        seen = question.in_the_way
+        refused, goal = answer.plan.goal, question.goal
+        on_way = (waypoint for waypoint in self.waypoints if waypoint.pose == refused != goal)
+        waypoint = next(on_way, None)
+        seen = question.in_the_way if waypoint is None else ""
         text = "no plan: " + (f"{seen} stands there" if seen else answer.plan.reason)
         self.notice = Notice(
             text=text,
-            refused=answer.plan.goal,
+            refused=refused,
             alternative=answer.alternative,
+            waypoint=waypoint,
+            goal=goal,
             narrow_place=answer.plan.narrow_place,
         )
         if not question.fresh:

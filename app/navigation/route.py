@@ -72,8 +72,10 @@ def plan_through(
     for number, pose in enumerate((*via, goal), start=1):
         leg = planner.plan(goal=pose, start_feet_world=feet, first_side=side)
         if not leg.found:
-            where = "" if number > len(via) else f"waypoint {number}: "
-            return replace(leg, goal=finite_pose(pose), reason=f"{where}{leg.reason}")
+            reason = leg.reason
+            if number <= len(via) or stands:
+                reason = f"waypoint {number}: {reason.removeprefix('goal: ')}"
+            return replace(leg, goal=finite_pose(pose), reason=reason)
         legs.append(leg)
         feet = feet_after(leg)
         side = Side(int(leg.side[-1])).other if len(leg) else side

@@ -156,10 +156,16 @@ class Marker:
             self._word.text = word
 
 
+def is_above(pose: Pose, other: Pose, height_m: Callable[[Sequence[float]], float]) -> bool:
+    """Whether a pose is seen above another one from the south and above, as when a page begins."""
+    return pose[1] + height_m(pose) > other[1] + height_m(other)
+
+
 class PoseMarkers:
     """The arrows of a page. `height_m` of a pose is that of floor, wall or box there."""
 
     def __init__(self, scene: viser.SceneApi, height_m: Callable[[Sequence[float]], float]) -> None:
+        self._height_m = height_m
         self._markers = (
             Marker(scene, "/goal", height_m=height_m),
             Marker(scene, "/requested", _PALE_RGB, height_m=height_m),
@@ -177,14 +183,16 @@ class PoseMarkers:
         """Shows what holds; what has not changed is left alone."""
         notice = snapshot.notice
         told = (None, None) if notice is None else (notice.refused, notice.alternative)
+        refused, alternative = told
+        if notice is not None and notice.waypoint is not None:
+            told = None, alternative  # its own arrow says that it is refused
         new = snapshot.goal, self._pointed or snapshot.requested, *told
         for marker, pose, before in zip(self._markers, new, self._shown, strict=True):
             if pose != before:
                 marker.show(pose)
-        refused, alternative = told
         if new != self._shown and refused is not None and alternative is not None:
-            # As seen from the south, where a page begins: so neither word covers the other.
-            is_north = refused[1] > alternative[1]
-            self._markers[2].hang_word(is_below=not is_north)
-            self._markers[3].hang_word(is_below=is_north)
+            # So neither word covers the other.
+            is_upper = is_above(refused, alternative, self._height_m)
+            self._markers[2].hang_word(is_below=not is_upper)
+            self._markers[3].hang_word(is_below=is_upper)
         self._shown = new

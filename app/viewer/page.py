@@ -227,7 +227,7 @@ class Page:
                 return  # The robot has just been exchanged for another one.
             self._robot_scene.pose(snapshot.qpos)
             self._pose_markers.show(snapshot)
-            self._waypoint_markers.show(snapshot.waypoints)
+            self._waypoint_markers.show(snapshot.waypoints, snapshot.notice)
             self._planner_marks.show(snapshot.notice, self.session.setup.world)
             self._search_marks.show(snapshot.answer, self.session.setup.world)
             self._show_steps(snapshot)

@@ -31,6 +31,7 @@ SPEEDS = {"Pause": 0.0, "Slow": 0.25, "1x": 1.0, "Fastest": math.inf}
 # Stands before the name on the button that is pressed: viser's buttons all look alike.
 CHOSEN = "✓ "
 _GO_THERE, _PUT_THERE = "Go to the nearest free pose", "Put the robot at the nearest free pose"
+_MOVE_THERE = "Move the waypoint to the nearest free pose"
 _HINTS = {
     Tool.GOAL: "**Goal**: click the floor where the robot is to go; drag to say where it looks. "
     "With Shift held a click adds a waypoint.",
@@ -153,13 +154,14 @@ class Panel:
             self._details.content = _BOX.format("<br>".join(details.split("  \n")))
         notice = unheard or snapshot.notice
         is_news, self._heard = notice != self._heard, notice
-        refused = notice.refused if notice is not None and is_news else None
-        is_start = notice is not None and notice.puts_robot
         self.start.show(snapshot.start)
         self.goal.show(snapshot.requested or snapshot.goal)
         self.waypoints.show(snapshot.waypoints)
-        if refused is not None:
-            (self.start if is_start else self.goal).correct(refused)
+        if notice is not None and is_news:
+            if notice.puts_robot and notice.refused is not None:
+                self.start.correct(notice.refused)
+            elif notice.goal is not None:
+                self.goal.correct(notice.goal)
         self.plots.show_search(None if snapshot.answer is None else snapshot.answer.record)
         if snapshot.gait != self._gait.content:
             self._gait.content, self._gait.visible = snapshot.gait, bool(snapshot.gait)
@@ -172,14 +174,20 @@ class Panel:
         self.notice.visible, self._details.visible = notice is not None, notice is None
         self._take_offer.disabled = notice is None or notice.alternative is None
         if notice is not None and notice.alternative is not None:
-            self._take_offer.label = _PUT_THERE if notice.puts_robot else _GO_THERE
+            offer = _PUT_THERE if notice.puts_robot else _GO_THERE
+            self._take_offer.label = offer if notice.waypoint is None else _MOVE_THERE
 
     def take_offer(self) -> None:
-        """Goes to the pose that would do instead of a refused one, or puts the robot there."""
+        """Takes the pose that would do instead of a refused one: as goal, start or waypoint."""
         notice = self._heard
-        if notice is not None and notice.alternative is not None:
-            act = self._session.reset if notice.puts_robot else self._session.go_to
-            act(notice.alternative)
+        if notice is None or notice.alternative is None:
+            return
+        if notice.waypoint is not None and notice.goal is not None:
+            self._session.move_waypoint(notice.waypoint, notice.alternative, notice.goal)
+        elif notice.puts_robot:
+            self._session.reset(notice.alternative)
+        else:
+            self._session.go_to(notice.alternative)
 
     def use_tool(self, tool: Tool) -> None:
         """Chooses what the pointer does."""

@@ -201,6 +201,14 @@ class Session:
         self._set_waypoints((*self._replanner.waypoints, waypoint))
 
     @_queued
+    def move_waypoint(self, waypoint: Waypoint, pose: Pose, goal: Pose) -> None:
+        """Puts a waypoint that is ahead elsewhere, and walks to the goal through it."""
+        self._is_edited, moved = True, replace(waypoint, pose=pose)
+        ahead = self._replanner.waypoints
+        self._set_waypoints(tuple(moved if other == waypoint else other for other in ahead))
+        self._replanner.ask(goal, fresh=True)
+
+    @_queued
     def undo(self) -> None:
         """Takes the last edit of start, goal, waypoints or boxes back."""
         self._restore(self._edits.undo(), "undo")

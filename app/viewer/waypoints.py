@@ -8,10 +8,11 @@ from typing import Any
 
 import viser
 
+from app.navigation.live_navigator import Notice
 from app.navigation.route import Waypoint
 from app.options import parse_pose
 from app.output import InputError
-from app.viewer.markers import Marker
+from app.viewer.markers import Marker, is_above
 from app.viewer.scene import Rgb
 from planner.plan import finite_pose
 
@@ -111,13 +112,13 @@ class WaypointMarkers:
     def __init__(self, scene: viser.SceneApi, height_m: Callable[[Sequence[float]], float]) -> None:
         self._scene, self._height_m = scene, height_m
         self._markers: list[Marker] = []
-        self._shown: tuple[Waypoint, ...] = ()
+        self._shown: tuple[tuple[Waypoint, ...], Notice | None] = (), None
 
-    def show(self, waypoints: tuple[Waypoint, ...]) -> None:
-        """Shows those that are ahead now; what has not changed is left alone."""
-        if waypoints == self._shown:
+    def show(self, waypoints: tuple[Waypoint, ...], notice: Notice | None = None) -> None:
+        """Shows those that are ahead now, and which is refused; what is as before is left alone."""
+        if (waypoints, notice) == self._shown:
             return
-        self._shown = waypoints
+        self._shown = waypoints, notice
         for number in range(len(self._markers), len(waypoints)):
             name, word = f"/waypoint_{number}", str(number + 1)
             marker = Marker(self._scene, name, WAYPOINT_RGB, word=word, height_m=self._height_m)
@@ -126,6 +127,11 @@ class WaypointMarkers:
             is_there = number < len(waypoints)
             marker.show(waypoints[number].pose if is_there else None)
             if is_there:
-                marker.say(
-                    f"{number + 1}, {STAND}" if waypoints[number].stands else str(number + 1)
-                )
+                waypoint = waypoints[number]
+                words = [str(number + 1)] + [STAND] * waypoint.stands
+                is_refused = notice is not None and notice.waypoint == waypoint
+                marker.say(", ".join(words + ["refused"] * is_refused))
+                free = notice.alternative if notice is not None and is_refused else None
+                # Clear of the word at the pose that is offered.
+                is_upper = free is None or is_above(waypoint.pose, free, self._height_m)
+                marker.hang_word(is_below=not is_upper)
