@@ -13,6 +13,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
 
@@ -131,6 +132,17 @@ def add_shape(
         mass=0,
         **_primitive(solid),
     )
+
+
+def set_mass(
+    body: mujoco.MjsBody, mass_kg: float, com_m: ArrayLike, inertia_kg_m2: ArrayLike
+) -> None:
+    """Gives the body its mass, its centre and its inertia about that.
+
+    com_m (3,) and inertia_kg_m2 (6,), xx yy zz xy xz yz, in the body's frame.
+    """
+    body.mass, body.ipos, body.fullinertia = mass_kg, np.array(com_m), np.array(inertia_kg_m2)
+    body.explicitinertial = True
 
 
 def add_shapes(

@@ -253,7 +253,7 @@ class Participant:
         self.start = self._writer("initialpose", InitialPose, VOLATILE)
         self.request = self._writer("plan_request", Text, VOLATILE)
         self._readers = {
-            name: DataReader(self._participant, Topic(self._participant, f"rt/{name}", kind), qos)
+            name: DataReader(self._participant, self._topic(name, kind), qos)
             for name, kind, qos in (
                 ("footsteps", MarkerArray, LATCHED),
                 ("path", Walkway, LATCHED),
@@ -269,8 +269,11 @@ class Participant:
         }
         self.got: dict[str, list[Any]] = {name: [] for name in self._readers}
 
+    def _topic(self, name: str, kind: Any) -> Any:
+        return Topic(self._participant, f"rt/{name}", kind)
+
     def _writer(self, name: str, kind: Any, qos: Any) -> Any:
-        return DataWriter(self._participant, Topic(self._participant, f"rt/{name}", kind), qos)
+        return DataWriter(self._participant, self._topic(name, kind), qos)
 
     def until(self, is_so: Any, what: str) -> None:
         """Listens until something is so; fails after a long time."""

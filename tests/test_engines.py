@@ -21,8 +21,8 @@ from sim.drake.contact_model import ContactModel, EngineError
 from sim.engines import MUJOCO, DrakeEngine
 from sim.robots import get_robot, robot_names
 from sim.scene import Scene, build_scene
-from sim.terrain import Ground
 from tests.programs import ROOM, refusal
+from tests.scenes import FREE_FALL_M, sunk_on_treads
 
 pytest.importorskip("pydrake", reason="it comes with the extra `drake`")
 
@@ -143,23 +143,13 @@ def jvrc1() -> Scene:
 
 
 def test_robots_stand_on_treads_and_fall_where_the_floor_is_lower(jvrc1):
-    """As in MuJoCo: free fall for 0.1 s is 4.9 cm; the treads are 0.3 m up, the floor 1 m down."""
+    """As in MuJoCo."""
     sim = DRAKE.simulate(jvrc1, count=3, control_period_s=CONTROL_PERIOD_S, threads=2)
-    feet = jvrc1.soles_at(jvrc1.standing_qpos)
-    lifted = jvrc1.standing_qpos.copy()
-    lifted[2] += 0.3
-    sim.qpos[0] = lifted
-    under = np.column_stack([feet[:, 0], feet[:, 1], [0.3, 0.3], [0.0, 0.0]])
-    sim.place_ground(0, Ground(floor_z_m=-1.0, treads=under))
-    sim.place_ground(2, Ground(floor_z_m=-1.0))
-    before = sim.qpos[:, 2].copy()
-    for _ in range(4):
-        sim.step(np.tile(jvrc1.robot.half_sitting_rad, (3, 1)))
-    sunk = before - sim.qpos[:, 2]
+    sunk = sunk_on_treads(sim)
     # Where two treads overlap the ground is twice as stiff.
     assert sunk[0] == pytest.approx(sunk[1], abs=5e-4)
     assert abs(sunk[1]) < 0.015
-    assert sunk[2] == pytest.approx(0.049, abs=0.004)
+    assert sunk[2] == pytest.approx(FREE_FALL_M, abs=0.004)
     assert sim.sensors[0, -1, jvrc1.sensors.pressure_pos_world[:, 2]] == pytest.approx(
         0.3, abs=1e-3
     )

@@ -14,6 +14,7 @@ from sim.robot_checks import CHECKS
 from sim.robots import get_robot, robot_names
 from sim.scene import Scene, build_scene, min_clearance_m
 from sim.terrain import BLOCK_HEIGHT_M, LANDINGS, PARKED_Z_M, TREADS, Ground
+from tests.scenes import FREE_FALL_M, sunk_on_treads
 
 CONTROL_PERIOD_S = 0.025
 
@@ -196,22 +197,11 @@ def test_each_simulation_has_its_own_ground_until_it_is_reset(sim):
 
 
 def test_robots_stand_on_treads_and_fall_where_the_floor_is_lower(sim):
-    """Free fall for 0.1 s is 4.9 cm; the treads are 0.3 m up, the floor 1 m down."""
     restart(sim, [0, 1, 2])
-    feet = sim.scene.soles_at(sim.scene.standing_qpos)
-    lifted = sim.scene.standing_qpos.copy()
-    lifted[2] += 0.3
-    sim.qpos[0] = lifted
-    under = np.column_stack([feet[:, 0], feet[:, 1], [0.3, 0.3], [0.0, 0.0]])
-    sim.place_ground(0, Ground(floor_z_m=-1.0, treads=under))
-    sim.place_ground(2, Ground(floor_z_m=-1.0))
-    before = sim.qpos[:, 2].copy()
-    for _ in range(4):
-        sim.step(np.tile(sim.scene.robot.half_sitting_rad, (3, 1)))
-    sunk = before - sim.qpos[:, 2]
+    sunk = sunk_on_treads(sim)
     assert sunk[0] == pytest.approx(sunk[1], abs=1e-3)
     assert abs(sunk[1]) < 0.015
-    assert sunk[2] == pytest.approx(0.049, abs=0.004)
+    assert sunk[2] == pytest.approx(FREE_FALL_M, abs=0.004)
 
 
 def test_more_ground_than_the_scene_has_is_refused(sim):

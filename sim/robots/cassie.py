@@ -35,7 +35,7 @@ from sim.robot import (
     RobotStepModel,
     both_legs,
 )
-from sim.solids import Ellipsoid, Rod, Vector, add_look, add_shape, capsule
+from sim.solids import Ellipsoid, Rod, Vector, add_look, add_shape, capsule, set_mass
 
 if TYPE_CHECKING:
     import mujoco
@@ -244,11 +244,6 @@ def _mirror(link: str) -> np.ndarray:
     return np.array([1, -1, 1] if link in ("pelvis", "hip_roll", "hip_yaw") else [1, 1, -1])
 
 
-def _set_mass(body: mujoco.MjsBody, mass_kg: float, com: np.ndarray, inertia: np.ndarray) -> None:
-    body.mass, body.ipos, body.fullinertia = mass_kg, com, inertia
-    body.explicitinertial = True
-
-
 def _add_links(spec: mujoco.MjSpec, side: str) -> None:
     import mujoco
 
@@ -265,7 +260,7 @@ def _add_links(spec: mujoco.MjSpec, side: str) -> None:
         body = spec.body(parent).add_body(
             name=_body(side, link.name), pos=of_parent * link.pos, quat=quat
         )
-        _set_mass(
+        set_mass(
             body,
             link.mass_kg,
             own * link.com,
@@ -346,7 +341,7 @@ def build() -> mujoco.MjSpec:
     spec.compiler.fusestatic = True
     pelvis = spec.worldbody.add_body(name="pelvis")
     pelvis.add_freejoint(name="root")
-    _set_mass(pelvis, _PELVIS_KG, np.array(_PELVIS_COM), np.array(_PELVIS_INERTIA))
+    set_mass(pelvis, _PELVIS_KG, _PELVIS_COM, _PELVIS_INERTIA)
     for name, shape in _PELVIS_SHAPES.items():
         add_shape(pelvis, name, shape, UPPER_BODY_BITS)
     pelvis.add_site(name="head", pos=[0.03, 0, 0.16])

@@ -46,6 +46,7 @@ from sim.solids import (
     add_sole,
     capsule,
     mirrored,
+    set_mass,
 )
 
 if TYPE_CHECKING:
@@ -210,13 +211,6 @@ _LOOKS: dict[str, tuple[tuple[Solid, Colour], ...]] = {
 }
 
 
-def _set_mass(
-    body: mujoco.MjsBody, mass_kg: float, com_m: Vector, inertia: tuple[float, ...]
-) -> None:
-    body.mass, body.ipos, body.fullinertia = mass_kg, com_m, 1e-3 * np.array(inertia)
-    body.explicitinertial = True
-
-
 def _add_leg(pelvis: mujoco.MjsBody, side: str, outward: int, bits: tuple[int, int]) -> None:
     """One leg; what is special about the right one is that y points inward."""
     body = pelvis
@@ -226,7 +220,7 @@ def _add_leg(pelvis: mujoco.MjsBody, side: str, outward: int, bits: tuple[int, i
         body = body.add_body(
             name=f"{side}_leg" if body is pelvis else f"{side}_{body_name}", pos=_to(outward, pos)
         )
-        _set_mass(body, mass_kg, _to(outward, com), tuple(turn * inertia))
+        set_mass(body, mass_kg, _to(outward, com), 1e-3 * turn * inertia)
         low_deg, high_deg = range_deg
         if outward < 0 and not name.endswith("P"):
             low_deg, high_deg = -high_deg, -low_deg
@@ -247,7 +241,7 @@ def _add_upper_body(spec: mujoco.MjSpec, pelvis: mujoco.MjsBody) -> None:
     chest = pelvis.add_body(name="chest", pos=WAIST_M)
     mass_kg, com_in_pelvis, inertia = _UPPER_BODY
     x, y, z = np.subtract(com_in_pelvis, WAIST_M)
-    _set_mass(chest, mass_kg, (x, y, z), inertia)
+    set_mass(chest, mass_kg, (x, y, z), 1e-3 * np.array(inertia))
     head = chest.add_body(name="head_link", pos=HEAD_M)
     head.add_site(name="head", pos=[0, 0, 0.05])
     add_shapes(spec, _BODY_SHAPES, UPPER_BODY_BITS)
@@ -297,7 +291,8 @@ def build() -> mujoco.MjSpec:
     spec.compiler.fusestatic = True
     pelvis = spec.worldbody.add_body(name="pelvis")
     pelvis.add_freejoint(name="root")
-    _set_mass(pelvis, *_PELVIS)
+    mass_kg, com, inertia = _PELVIS
+    set_mass(pelvis, mass_kg, com, 1e-3 * np.array(inertia))
     for (side, outward), bits in zip(SIDES.items(), (LEFT_LEG_BITS, RIGHT_LEG_BITS), strict=True):
         _add_leg(pelvis, side, outward, bits)
     _add_upper_body(spec, pelvis)
