@@ -239,7 +239,7 @@ class ProgressBar:
         self._title = title
         self._total = total
         self._line_every_s = line_every_s
-        self._line_at_s = 0.0
+        self._line_at_s, self._line = 0.0, ""
         self._bar: Progress | None = None
         self._task = TaskID(0)
 
@@ -267,12 +267,14 @@ class ProgressBar:
             self._bar = None
 
     def update(self, done: float, note: str = "") -> None:
-        """Tells how much of the total is done, with a short remark."""
+        """Tells how much of the total is done, with a short remark; no line twice in a row."""
         if self._bar is not None:
             self._bar.update(self._task, completed=done, amount=self._amount(done), note=note)
         elif time.monotonic() >= self._line_at_s:
-            self._line_at_s = time.monotonic() + self._line_every_s
-            say(" ".join(filter(None, (f"{self._title}:", self._amount(done), note))))
+            line = " ".join(filter(None, (f"{self._title}:", self._amount(done), note)))
+            if line != self._line:
+                self._line_at_s, self._line = time.monotonic() + self._line_every_s, line
+                say(line)
 
     def _amount(self, done: float) -> str:
         return "" if self._total is None else f"{done:g}/{self._total:g}"

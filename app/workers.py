@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -89,12 +91,25 @@ def _end_with_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None
+    _end_when_closed(parent.sentinel)
 
     def watch() -> None:
         parent.join()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def _end_when_closed(pipe: int) -> None:
+    """Has the system end this process when the other end of the pipe is closed.
+
+    A thread that waits for that cannot run while compiled code plans, for as long as that takes.
+    """
+    if sys.platform != "linux":  # elsewhere the signal is ignored unless somebody handles it
+        return
+    signal.signal(signal.SIGIO, signal.SIG_DFL)
+    fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(pipe, fcntl.F_SETFL, fcntl.fcntl(pipe, fcntl.F_GETFL) | os.O_ASYNC)
 
 
 def compile_planner(model: StepModel, options: PlannerOptions) -> float:

@@ -7,6 +7,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 
 from app.output import (
     InputError,
+    ProgressBar,
     claim_folder,
     make_folder,
     release_folders,
@@ -131,6 +134,51 @@ def test_workers_of_a_killed_process_end():
     assert done.stdout == "1\n"
 
 
+KILLED_AT_WORK = """
+import ctypes, os, sys
+from pathlib import Path
+from app.workers import in_order
+
+def work(folder):
+    Path(folder, str(os.getpid())).write_text("")
+    ctypes.PyDLL(None).sleep(3600)  # as compiled code: no other thread of the process runs
+
+if __name__ == "__main__":
+    list(in_order(work, [sys.argv[1]] * 2, 2))
+"""
+
+
+def _is_alive(pid: str) -> bool:
+    with contextlib.suppress(FileNotFoundError):
+        return Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+def _until(is_so: Callable[[], bool]) -> None:
+    for _ in range(6000):
+        if is_so():
+            return
+        time.sleep(0.05)
+    pytest.fail("waited 300 s in vain")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere they end when their work lets them")
+def test_workers_of_a_killed_process_end_in_the_middle_of_compiled_code(tmp_path):
+    (tmp_path / "program.py").write_text(KILLED_AT_WORK)
+    at_work = tmp_path / "at_work"
+    at_work.mkdir()
+    parent = subprocess.Popen(
+        [sys.executable, tmp_path / "program.py", at_work],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    _until(lambda: len(os.listdir(at_work)) == 2)
+    workers = os.listdir(at_work)
+    assert all(map(_is_alive, workers))
+    parent.kill()
+    parent.wait()
+    _until(lambda: not any(map(_is_alive, workers)))
+
+
 CLAIMED = """
 import sys
 from pathlib import Path
@@ -246,3 +294,11 @@ def test_streams_that_are_closed_or_full(line, code, told):
     assert done.returncode == code
     if told is not None:
         assert done.stderr.strip().split("\n")[-1] == told
+
+
+def test_where_there_is_no_terminal_no_line_is_said_twice_in_a_row(capsys):
+    with ProgressBar("planner", None, line_every_s=0.0) as bar:
+        for done, note in enumerate(("loading", "loading", "3 of 9", "3 of 9", "loading")):
+            bar.update(done, note)
+    told = capsys.readouterr().err.splitlines()
+    assert told == [f"planner: {note}" for note in ("loading", "3 of 9", "loading")]
