@@ -51,7 +51,7 @@ def what_obstructs(
         x, y = (float(v) for v in grid.world_to_grid(pose[:2]))
         yaw = float(pose[-1]) - grid.origin[2]
         if not box_free(terrain, x, y, math.cos(yaw), math.sin(yaw), box):
-            where = f"{name} at {pose[0]:.2f},{pose[1]:.2f}"
+            where = f"{name} at {pose[0]:z.2f},{pose[1]:z.2f}"
             if not grid.contains(pose[:2]):
                 return f"{where} would be off the map"
             return f"{where} would touch an obstacle, unknown ground or the map's edge"
@@ -68,7 +68,7 @@ def _what_is_uneven(
         if high_m - low_m > model.level_m + _ROUNDING_M:
             x_m, y_m = feet[side, :2]
             return (
-                f"the ground under the {side.name.lower()} foot at {x_m:.2f},{y_m:.2f} is not "
+                f"the ground under the {side.name.lower()} foot at {x_m:z.2f},{y_m:z.2f} is not "
                 f"level: it rises by {high_m - low_m:.2f} m"
             )
     rise_m = abs(float(heights[0, 1] - heights[1, 1]))
@@ -126,7 +126,7 @@ def suggestion(grid: OccupancyGrid, terrain: Terrain, model: StepModel, pose: Ar
         return ""
     if there is None:
         return f"; no pose within {_SEARCH_RADIUS_M:g} m is free"
-    return f"; the nearest free pose is {there[0]:g},{there[1]:g},{there[2]:g}"
+    return f"; the nearest free pose is {there[0]:zg},{there[1]:zg},{there[2]:zg}"
 
 
 class Footing:

@@ -49,7 +49,7 @@ class NarrowPlace:
 
     def __str__(self) -> str:
         return (
-            f"the passage at {self.x + 0.0:.2f},{self.y + 0.0:.2f} is {self.width_m:.2f} m wide; "
+            f"the passage at {self.x:z.2f},{self.y:z.2f} is {self.width_m:.2f} m wide; "
             f"to walk ahead the robot needs {self.needed_m:.2f} m"
         )
 

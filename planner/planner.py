@@ -259,7 +259,7 @@ class Planner:
         if len(result.side) and result.status is not PlanStatus.FOUND:
             plan = self._with_steps(plan, result)
             x_m, y_m, _ = pair_pose(plan.pose_world[-2:])
-            part = f"the first {len(plan)} steps end at {x_m:.2f},{y_m:.2f}"
+            part = f"the first {len(plan)} steps end at {x_m:z.2f},{y_m:z.2f}"
             return replace(plan, reason=f"{plan.reason}; {part}")
         if result.status is not PlanStatus.FOUND:
             return plan

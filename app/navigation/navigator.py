@@ -368,20 +368,20 @@ class Navigator:
         sensors, sim = self.scene.sensors, self.walker.sim
         if self.walker.failures[0]:
             x, y = sim.qpos[0, :2]
-            self._end(Outcome.FELL, f"{self.walker.failures[0]}, near {x:.2f}, {y:.2f}")
+            self._end(Outcome.FELL, f"{self.walker.failures[0]}, near {x:z.2f}, {y:z.2f}")
             return
         if sim.failed[0]:
             self._end(Outcome.FELL, "the simulation left the finite numbers")
             return
         if sim.sensors[0, :, sensors.wall_contacts[0]].max() > 0:
             x, y = sim.qpos[0, :2]
-            self._end(Outcome.COLLIDED, f"the robot touched an obstacle near {x:.2f}, {y:.2f}")
+            self._end(Outcome.COLLIDED, f"the robot touched an obstacle near {x:z.2f}, {y:z.2f}")
             return
         latest = sim.sensors[0, -1]
         lower_sole_z = latest[sensors.sole_pos_world[:, 2]].min()
         if latest[sensors.pelvis_pos_world[2]] - lower_sole_z < self.robot.fallen_height_m:
             x, y = sim.qpos[0, :2]
-            self._end(Outcome.FELL, f"the robot fell near {x:.2f}, {y:.2f}")
+            self._end(Outcome.FELL, f"the robot fell near {x:z.2f}, {y:z.2f}")
 
     def _plan_from(self, feet_world: np.ndarray, first_side: Side | None) -> FootstepPlan:
         plan = plan_through(
