@@ -6,6 +6,7 @@ skipped where one of them is missing.
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import json
 import os
@@ -46,6 +47,15 @@ WAITS_AT = """share => {
     const [at, most] = ['now', 'max'].map(end => Number(slider.getAttribute('aria-value' + end)));
     if (window.at !== at) [window.at, window.since] = [at, now];
     return Math.abs(at / most - share) < 0.03 && now - window.since > 1000;
+}"""
+# Files that are dropped on the page: name and content in base64 of each.
+DROP = """files => {
+    const dataTransfer = new DataTransfer();
+    for (const [name, content] of files) {
+        const bytes = Uint8Array.from(atob(content), letter => letter.charCodeAt(0));
+        dataTransfer.items.add(new File([bytes], name));
+    }
+    document.body.dispatchEvent(new DragEvent('drop', {dataTransfer, bubbles: true}));
 }"""
 # A complaint of the viewer's own about its dragging; nothing comes of it.
 HARMLESS = "Unable to preventDefault inside passive event listener"
@@ -311,6 +321,14 @@ def test_maps_are_chosen_and_sent_and_the_page_stays_open(visit, address, tmp_pa
     page.get_by_text("Map", exact=True).first.click()
     page.locator("input[type=file]").set_input_files(tmp_path / "mine.png")
     visit.reads("Footfall: mine.png")
+    visit.heading("Standing")
+    # The page that stayed open has the title of the map, and nothing is still being sent.
+    page.wait_for_function("document.title === 'Footfall: mine.png'")
+    visit.reads("^(?![^]*Uploading )")
+    content = base64.b64encode(cv2.imencode(".png", floor)[1].tobytes()).decode()
+    yaml = base64.b64encode(b"image: dropped.png\nresolution: 0.1\norigin: [-3, -3, 0]\n").decode()
+    page.evaluate(DROP, [["dropped.png", content], ["dropped.yaml", yaml]])
+    page.wait_for_function("document.title === 'Footfall: dropped.png'")
     visit.heading("Standing")
 
 

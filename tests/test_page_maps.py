@@ -163,6 +163,8 @@ def test_a_map_that_is_chosen_is_what_comes_next(page):
 
 def test_a_map_that_is_sent_and_one_that_cannot_be_used(page):
     page.map_chooser.take(UploadedFile("broken.png", b"\x89PNG"))
+    # By the name that was sent, without the folder where it is kept.
+    assert said(page).startswith("map image broken.png: ")
     assert "cut off" in said(page)
     page.map_chooser.take(UploadedFile("full.png", picture(np.zeros((30, 30), np.uint8))))
     assert said(page) == "full.png: the robot can stand nowhere on this map"

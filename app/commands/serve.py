@@ -29,6 +29,10 @@ if TYPE_CHECKING:
     from controller.walker import Controller
 
 
+# So long what is sent to a page last is on its way.
+_LAST_WORDS_S = 0.3
+
+
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions(PlanningOptions):
     """Open a web page: the map, and the robot that walks where you click.
@@ -114,6 +118,9 @@ def _serve(options: ServeOptions, recorder: SessionRecorder | None) -> int:
             port, access = page.server.get_port(), page.server.access
             _run_until_loaded(page)
             page.run(is_over=lambda: page.wanted_map is not None)
+            # Its pages shall hear that the map that they sent is here.
+            page.server.flush()
+            time.sleep(_LAST_WORDS_S)
             assert page.wanted_map is not None
             name, grid, start, link = page.wanted_map
             robot, policy = page.session.setup.robot, page.session.setup.policy
@@ -150,5 +157,5 @@ def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> No
     world = World(grid=grid, model=robot.step_model, options=options.planner_options())
     blocked, free = place_to_stand(world, options.start)
     if blocked:
-        near = "none within 2 m" if free is None else "{:g},{:g},{:g}".format(*free)
+        near = "none within 2 m" if free is None else "{:zg},{:zg},{:zg}".format(*free)
         raise InputError(f"{wanted}: {blocked}; the nearest free pose is {near}")

@@ -21,11 +21,14 @@ _KEPT_S = 365 * 24 * 3600
 # Names the link that was opened to the socket that the page opens next.
 LINK_COOKIE = "footfall-link"
 _OPENS_FOR_S = 600
+# So long after a file that was dropped the next one is sent, so that it does not come before it.
+_NEXT_FILE_MS = 1000
 _MOST_LINKS = 64
 # Where browsers say that a link stands which is not this server's own, typed or a bookmark.
 _OTHERS = ("cross-site", "same-site")
 # On a phone held upright viser's panel lies over the lower part of the window: here over a third.
 # `?darkMode` is the choice of the switch: viser's own would stay on whatever that says.
+# Files that are dropped go to the button that sends maps, a YAML before the pictures that it names.
 _HEAD = """
 <style>
 @media (max-width: 36em) {
@@ -43,6 +46,20 @@ _HEAD = """
   history.replaceState(null, '', address.href.replace(/[?&]darkMode[^&#]*/, '')
     .replace(/^([^?]*?)&/, '$1?'));
 })();
+addEventListener('dragover', event => event.preventDefault());
+addEventListener('drop', async event => {
+  event.preventDefault();
+  const files = [...event.dataTransfer.files].sort(
+    (one, other) => /\\.ya?ml$/i.test(other.name) - /\\.ya?ml$/i.test(one.name));
+  for (const [number, file] of files.entries()) {
+    if (number) await new Promise(resolve => setTimeout(resolve, NEXT_MS));
+    const input = document.querySelector('input[type=file]'), sent = new DataTransfer();
+    if (input === null) return;
+    sent.items.add(file);
+    input.files = sent.files;
+    input.dispatchEvent(new Event('change', {bubbles: true}));
+  }
+});
 </script>
 """
 
@@ -87,6 +104,7 @@ class OpenedLinks:
 def dressed(answer: Answer, title: str, links: OpenedLinks) -> Answer:
     """The answers of a server, those that are pages with this title and head; keeps their links."""
     head = _HEAD.replace("KEEP_DARK", keep_dark(is_dark=True))
+    head = head.replace("NEXT_MS", f"{_NEXT_FILE_MS}")
     head = head.replace("SHEET", f"{100 * PHONE_SHARE:.0f}")
     named = f"<title>{html.escape(title)}</title>{head}".encode()
     made: dict[bytes, bytes] = {}  # pages that were asked for, and as they are answered

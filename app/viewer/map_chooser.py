@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -37,6 +38,10 @@ class MapInbox:
     def close(self) -> None:
         """Removes the files."""
         self._folder.cleanup()
+
+    def named(self, text: str) -> str:
+        """What is said of files, by the names under which they were sent."""
+        return text.replace(f"{self._folder.name}{os.sep}", "")
 
     def take(
         self, file: UploadedFile, *, resolution_m: float, origin: tuple[float, float, float]
@@ -106,7 +111,8 @@ class MapChooser:
             hint="Lower-left corner of an image that comes without a YAML: metres and degrees.",
         )
         self._upload = gui.add_upload_button(
-            "Send a map", hint="An image; or its YAML, then the image that it names."
+            "Send a map",
+            hint="An image; or its YAML, then the image that it names. Both may be dropped here.",
         )
         self._upload.on_upload(lambda _event: self.take(self._upload.value))
 
@@ -138,10 +144,10 @@ class MapChooser:
             try:
                 grid = read()
             except MapError as error:
-                self._say(one_line(error))
+                self._say(one_line(self._inbox.named(str(error))))
                 return
         for warning in told:
-            self._say(one_line(warning.message))
+            self._say(one_line(self._inbox.named(str(warning.message))))
         if isinstance(grid, str):
             self._say(grid)
         else:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import io
+import json
 import socket
+import warnings
 from collections.abc import AsyncGenerator, Sequence
 from functools import partial
 from http.cookies import CookieError, SimpleCookie
@@ -20,6 +22,13 @@ from app.viewer.html_page import OpenedLinks, dressed
 from app.viewer.messages import may_be_carried_out
 
 LOCAL = "127.0.0.1"
+# For a page that was open already when this server took the place of another: viser leaves it the
+# title of that one, and says of what was being sent that it still is.
+_ON_CONNECT = """
+document.title = TITLE;
+for (const told of document.querySelectorAll('.mantine-Notification-root'))
+  if (told.innerText.startsWith('Uploading ')) told.style.display = 'none';
+"""
 
 
 class OneThreadEvent(asyncio.Event):
@@ -181,6 +190,8 @@ def open_server(
     ):
         server = PageServer(host=host, port=port, label=title, verbose=False)
     server.access, server.links = access, links
+    # A page that goes while something is sent to it is nothing that anybody could mend.
+    warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
     _end_who_sends_nonsense(server)
     make_thread_safe(server.broadcast)
     skip_superseded(server.broadcast)
@@ -189,6 +200,8 @@ def open_server(
         lambda connection: make_thread_safe(connection.get_message_buffer())
     )
     use_theme(server.gui, is_dark=False)
+    script = _ON_CONNECT.replace("TITLE", json.dumps(title))
+    server.on_client_connect(lambda client: server.run_script(client, script))
     return server
 
 
