@@ -161,7 +161,7 @@ _PANEL = """
 <tr><td>outcome</td><td id="walk-outcome"></td></tr>
 </table>
 <div><i style="background: LEFT"></i>left foot <i style="background: RIGHT; margin-left: 12px"></i>
-right foot<br>pale as planned, full as placed</div>
+right foot<br>pale as planned, full the next two, frames as placed</div>
 <div>pelvis over the ground, <span id="walk-pelvis"></span></div><svg id="walk-height"></svg>
 <div>feet from their steps, up to <span id="walk-most"></span></div><svg id="walk-errors"></svg>
 </details>
