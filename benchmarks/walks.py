@@ -116,7 +116,7 @@ def line(name: str, results: Sequence[Mapping[str, Any]]) -> str:
             f"feet {100 * feet.median:.1f} / {100 * feet.p95:.1f} / {100 * feet.max:.1f} cm"
         )
     if clear_m is not None:
-        told.append(f"nearest wall {100 * clear_m:.1f} cm")
+        told.append(f"nearest obstacle {100 * clear_m:.1f} cm")
     return "; ".join(told)
 
 

@@ -53,7 +53,7 @@ def test_walks_between_parts_that_nothing_joins_count_apart_and_falls_come_first
     told = line("room", walks)
     assert "1 of 2" in told
     assert "others: 1 fell; 1 pairs not joined" in told
-    assert "feet 2.0 / 2.9 / 3.0 cm; nearest wall 10.0 cm" in told
+    assert "feet 2.0 / 2.9 / 3.0 cm; nearest obstacle 10.0 cm" in told
     assert [w["outcome"] for w in sorted(walks, key=badness, reverse=True)] == [
         "fell",
         "reached",

@@ -54,7 +54,7 @@ FRAMES_PER_S = 30.0
 # Nobody watches: just so often that whoever comes sees what is.
 _UNSEEN_FRAMES_PER_S = 4.0
 _NOTICE_FOR_S = 12.0
-_IN_THE_WAY = {WALL: "a wall", 0: "a box"}
+_IN_THE_WAY = {WALL: "an obstacle of the map", 0: "a box"}
 
 
 class Maps(NamedTuple):
@@ -295,7 +295,7 @@ class Page:
         if on == ROBOT:
             self._say("that is the robot: boxes stand on the floor")
         elif on == WALL:
-            self._say("a wall stands there: boxes stand on the floor")
+            self._say("an obstacle of the map stands there: boxes stand on the floor")
         elif on == FLOOR:
             self.obstacle_editor.add(pointed[:2], self.panel.box_size_m)
         else:

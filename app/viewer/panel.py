@@ -370,7 +370,7 @@ def status_text(snapshot: Snapshot) -> str:
     Always as many lines: the buttons below must not jump when somebody is about to press one.
     """
     plan, answer_s, error_m = snapshot.plan, snapshot.answer_s, snapshot.foot_error_m
-    steps, second, error, near = "no steps yet", "plan –", "foot error –", "nearest wall –"
+    steps, second, error, near = "no steps yet", "plan –", "foot error –", "nearest obstacle –"
     if plan is not None:
         steps = f"step {snapshot.done} of {len(plan)}, {snapshot.replans} replans"
     if snapshot.goal_error is not None and snapshot.status == "reached":
@@ -381,7 +381,7 @@ def status_text(snapshot: Snapshot) -> str:
     if len(error_m):
         error = f"foot error {100 * error_m[-1]:.1f} cm, at most {100 * error_m.max():.1f} cm"
     if snapshot.clearance_m is not None:
-        near = f"nearest wall {100 * snapshot.clearance_m:.0f} cm"
+        near = f"nearest obstacle {100 * snapshot.clearance_m:.0f} cm"
     walked = f"{snapshot.time_s:.0f} s walked, speed {snapshot.speed:.1f}x"
     state = snapshot.loading or snapshot.status
     title = f"### {state[:1].upper()}{state[1:]}"

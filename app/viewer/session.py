@@ -163,7 +163,7 @@ class Session:
 
     @_queued
     def go_to(self, goal: Sequence[float], *, in_the_way: str = "") -> None:
-        """Walk to this pose; `in_the_way` names what was seen there, such as "a wall"."""
+        """Walk to this pose; `in_the_way` names what was seen there, such as "a box"."""
         self._is_edited = True
         self._replanner.ask(finite_pose(goal), fresh=True, in_the_way=in_the_way)
 
