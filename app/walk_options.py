@@ -133,10 +133,6 @@ class WalkOptions(EngineOptions, PlanningOptions):
             raise InputError(f"--hardware goes with --controller policy, not {self.controller}")
         if self.hardware is not None and self.engine != "mujoco":
             raise InputError(f"--hardware goes with --engine mujoco, not with {self.engine}")
-        if self.sensed and self.controller != "policy":
-            raise InputError(
-                f"--sensed goes with --controller policy: {self.controller} takes the true state"
-            )
         robot = find_robot(self.robot)
         if self.sensed and robot.passive:
             raise InputError(

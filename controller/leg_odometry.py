@@ -59,8 +59,8 @@ class LegOdometry:
         self._readings, self._soles = readings, self._soles_from_pelvis()
         self.state = self._state()
 
-    def update(self, readings: SensorReadings) -> None:
-        """Take the readings of the next control step."""
+    def update(self, readings: SensorReadings, time_s: float = CONTROL_PERIOD_S) -> None:
+        """Take the next readings, so long after the last ones."""
         before_m, before = self._soles, self._readings
         self._read(readings)
         now_m = self._soles_from_pelvis()
@@ -74,7 +74,7 @@ class LegOdometry:
             ]
             self._position = self._position + shares @ np.array(moved)
         else:
-            self._position = self._position + self._velocity * CONTROL_PERIOD_S
+            self._position = self._position + self._velocity * time_s
         self._readings, self._soles = readings, now_m
         self._estimate_velocity(readings)
         self.state = self._state()

@@ -15,6 +15,7 @@ from controller.observation import observe
 from controller.step_cursor import StepCursor, StepSequence
 from sim.engines import MUJOCO, Engine
 from sim.hardware import HardwareErrors, change_model
+from sim.onboard_sensors import SensorReadings
 from sim.robot import Robot
 from sim.scene import Scene
 from sim.simulation import Simulation
@@ -55,8 +56,10 @@ class Walker:
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps;
     `target_rad` (B, J) the targets last asked for, before any delay.
     `estimated` is the state that robots see in place of the true one, where sensors are all that
-    they have; whoever estimates it sets it anew after each step. `servos` take the joint targets of
-    a policy where they are not those of the model.
+    they have, and `readings` what those read last; whoever estimates it sets both anew after each
+    step, and in `sense`, which is called with the sensors (B, nsensordata) and the time since the
+    part before where a control step goes on in parts. `servos` take the joint targets of a policy
+    where they are not those of the model.
     """
 
     def __init__(
@@ -89,6 +92,8 @@ class Walker:
         self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
         self.estimated: RobotState | None = None
+        self.readings: SensorReadings | None = None
+        self.sense: Callable[[np.ndarray, float], None] | None = None
         self.servos: ImperfectServos | None = None
         if hardware is not None and hardware.changes_servos:
             self.servos = ImperfectServos(self.sim, hardware, seed=seed)
@@ -168,8 +173,14 @@ class Walker:
         The joint targets (B, J) of each part come from the sensors before it: see
         `Simulation.step_in_parts`. Returns the same as `act`.
         """
+        part, part_s = 0, CONTROL_PERIOD_S / parts
 
         def noted(sensors: np.ndarray) -> np.ndarray:
+            nonlocal part
+            # Before the first part it knows what it measured after the last control step.
+            if part and self.sense is not None:
+                self.sense(sensors, part_s)
+            part += 1
             self.target_rad = targets_rad(sensors)
             return self.target_rad
 

@@ -53,7 +53,9 @@ class Sensing:
         self._sensors = OnboardSensors(
             walker.scene, config.errors, seed=int(sensors_seed), encoder_offset_rad=offset_rad
         )
-        self._odometry = LegOdometry(walker.scene, walker.sim.qpos[0], self._read(0.0))
+        self._time_s = 0.0
+        first = self._read(walker.sim.sensors[0, -1], 0.0)
+        self._odometry = LegOdometry(walker.scene, walker.sim.qpos[0], first)
         self._fixes: SimulatedLocalization | None = None
         self._filter: PoseFilter | None = None
         if config.localization is not None:
@@ -65,6 +67,7 @@ class Sensing:
         self.own_errors_m: list[float] = []
         self._told_jumps = 0
         self._plan_frame = np.zeros(3)
+        walker.sense = self._sense
         walker.estimated = self._odometry.state
 
     @property
@@ -89,8 +92,7 @@ class Sensing:
 
     def ticked(self, time_s: float) -> None:
         """Take what is measured after a control step."""
-        self._odometry.update(self._read(time_s))
-        self._walker.estimated = self._odometry.state
+        self._update(self._walker.sim.sensors[0, -1], time_s)
         if self._filter is None or self._fixes is None:
             return
         self._filter.predict(_pose(self.state.qpos), time_s)
@@ -138,9 +140,20 @@ class Sensing:
             jumps=0 if counts is None else counts.jumps,
         )
 
-    def _read(self, time_s: float) -> SensorReadings:
+    def _sense(self, sensors: np.ndarray, since_s: float) -> None:
+        """Take what is measured between two parts of a control step."""
+        self._update(sensors[0], self._time_s + since_s)
+
+    def _update(self, sensors: np.ndarray, time_s: float) -> None:
+        self._odometry.update(self._read(sensors, time_s), time_s - self._time_s)
+        self._time_s = time_s
+        self._walker.estimated = self._odometry.state
+
+    def _read(self, sensors: np.ndarray, time_s: float) -> SensorReadings:
         sim = self._walker.sim
-        return self._sensors.read(sim.qpos[0], sim.qvel[0], sim.sensors[0, -1], time_s)
+        readings = self._sensors.read(sim.qpos[0], sim.qvel[0], sensors, time_s)
+        self._walker.readings = readings
+        return readings
 
 
 def in_frame(poses_map: np.ndarray, frame: np.ndarray) -> np.ndarray:

@@ -64,6 +64,19 @@ def sole_wrench(
     return np.concatenate([rotation.T @ force_world, rotation.T @ moment])
 
 
+def upward_wrenches(force_n: np.ndarray, pressure_sole_m: np.ndarray) -> np.ndarray:
+    """Wrenches (2, 6) about the soles' middles, in their axes, of what force sensors tell.
+
+    Upward forces (2,) at centres of pressure x, y (2, 2) in the soles' axes; forces along the sole
+    have no moment about its x and y.
+    """
+    wrenches = np.zeros((2, 6))
+    wrenches[:, 2] = force_n
+    wrenches[:, 3] = pressure_sole_m[:, 1] * force_n
+    wrenches[:, 4] = -pressure_sole_m[:, 0] * force_n
+    return wrenches
+
+
 def tilted(yaw_rad: float, tilt_rad: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) of a sole of this heading, rolled and pitched (2,) in its own axes."""
     roll, pitch = tilt_rad

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from controller.gait import CONTROL_PERIOD_S
-from controller.lipm.admittance import FootAdmittance, sole_wrench, tilted
+from controller.lipm.admittance import FootAdmittance, sole_wrench, tilted, upward_wrenches
 from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, StageFailed, phases_of
 from controller.lipm.servos import joint_targets, require_pace
-from controller.lipm.stabilizer import DcmFeedback, ForceDistribution
+from controller.lipm.stabilizer import DcmFeedback, ForceDistribution, VelocityFilter
 from controller.lipm.swing_foot import SwingFoot, has_landed, swing_over
 from controller.lipm.whole_body import BodyTargets, WholeBody, lowered_m
 from controller.observation import places, policy_fields
@@ -97,6 +97,7 @@ class RobotControl:
         self._swing, self._landed = None, False
         self._admittance = FootAdmittance()
         self._feedback = DcmFeedback(omega=self._omega)
+        self._velocity = VelocityFilter(omega=self._omega)
         com = self._data.subtree_com[self._pelvis]
         self._com_z_m, self._climb_m_s = com[2], 0.0
         for _ in range(10):
@@ -109,16 +110,27 @@ class RobotControl:
         self._jerk = np.zeros((1, 2))
         self._count = 0
 
-    def _measure(self, sensed: np.ndarray) -> None:
-        model, data, sim = self._body.scene.model, self._data, self._walker.sim
-        data.qpos[:], data.qvel[:] = sim.qpos[self._row], sim.qvel[self._row]
-        scene, observed = self._walker.scene, self._observed
+    def _measure(self, latest: np.ndarray, sensed: np.ndarray) -> None:
+        """Posture and motion, and the wrenches (2, 6) that the soles bear, in their own axes."""
+        model, data, walker, row = self._body.scene.model, self._data, self._walker, self._row
+        known = walker.sim if walker.estimated is None else walker.estimated
+        data.qpos[:], data.qvel[:] = known.qpos[row], known.qvel[row]
+        scene, observed = walker.scene, self._observed
         data.qpos[scene.joint_qpos] = sensed[observed["joint_pos_rad"]]
         data.qvel[scene.joint_qvel] = sensed[observed["joint_vel_rad_s"]]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
+        if walker.readings is not None:
+            self._borne = upward_wrenches(walker.readings.force_n, walker.readings.pressure_sole_m)
+            return
+        self._borne = np.zeros((2, 6))
+        force = latest[scene.sensors.ground_force_world]
+        pressure = latest[scene.sensors.pressure_pos_world]
+        for side in np.flatnonzero(force[:, 2] > 1.0):
+            sole, axes = data.site_xpos[self._sites[side]], data.site_xmat[self._sites[side]]
+            self._borne[side] = sole_wrench(force[side], pressure[side], sole, axes.reshape(3, 3))
 
     def _measured_soles(self) -> np.ndarray:
         data = self._data
@@ -128,25 +140,28 @@ class RobotControl:
 
     def targets(self, latest: np.ndarray, sensed: np.ndarray, part: int) -> np.ndarray:
         """Joint targets (J,) for the next 5 ms, by the sensors and the policy's observation."""
-        self._measure(sensed)
+        self._measure(latest, sensed)
         if self._placed != self._walker.placed[self._row]:
             self._placed = self._walker.placed[self._row]
             self._place()
         cursor = self._walker.cursor
         steps = _later(cursor.upcoming(self._row), part * PART_S)
-        self._move_swing_foot(latest, steps)
+        self._move_swing_foot(steps)
         data, pendulum = self._data, self._pendulum
-        com, velocity = data.subtree_com[self._pelvis], data.subtree_linvel[self._pelvis]
+        com, velocity = data.subtree_com[self._pelvis], data.subtree_linvel[self._pelvis, :2]
+        if self._walker.readings is not None:
+            soles = self._measured_soles()
+            velocity = self._velocity.update(com[:2], velocity, soles, self._borne, PART_S)
         if self._count % REPLAN_PARTS == 0:
-            self._catch_up(com[:2], velocity[:2])
+            self._catch_up(com[:2], velocity)
             self._jerk = self._pattern.solve(pendulum, phases_of(self._feet, steps))
         self._count += 1
         reference = pendulum.com, pendulum.velocity, pendulum.acceleration
         pendulum.advance(self._jerk[0], PART_S)
         self._lag.advance(PART_S)
-        asked = self._feedback.acceleration(reference, com[:2], velocity[:2], PART_S)
+        asked = self._feedback.acceleration(reference, com[:2], velocity, PART_S)
         wrenches = self._wrenches(com, asked)
-        self._give_way(latest, wrenches)
+        self._give_way(wrenches)
         return self._joint_targets(wrenches)
 
     def _catch_up(self, com: np.ndarray, velocity: np.ndarray) -> None:
@@ -162,20 +177,11 @@ class RobotControl:
         pendulum.com, pendulum.velocity = com.copy(), velocity.copy()
         pendulum.acceleration = self._omega**2 * (com - zmp)
 
-    def _give_way(self, latest: np.ndarray, wrenches: np.ndarray) -> None:
+    def _give_way(self, wrenches: np.ndarray) -> None:
         """Admittance of the feet to what they bear, against the wrenches (2, 6) asked for."""
-        data = self._data
-        rotations = data.site_xmat[self._sites].reshape(2, 3, 3)
-        sensors = self._walker.scene.sensors
-        force = latest[sensors.ground_force_world]
-        pressure = latest[sensors.pressure_pos_world]
-        measured, wanted = np.zeros((2, 6)), np.zeros((2, 6))
-        for side in range(2):
-            sole = data.site_xpos[self._sites[side]]
-            if force[side, 2] > 1.0:
-                measured[side] = sole_wrench(force[side], pressure[side], sole, rotations[side])
-            wanted[side] = (wrenches[side].reshape(2, 3) @ rotations[side]).ravel()
-        self._admittance.follow(wanted, measured, self._standing(), PART_S)
+        rotations = self._data.site_xmat[self._sites].reshape(2, 3, 3)
+        wanted = (wrenches.reshape(2, 2, 3) @ rotations).reshape(2, 6)
+        self._admittance.follow(wanted, self._borne, self._standing(), PART_S)
 
     def _joint_targets(self, wrenches: np.ndarray) -> np.ndarray:
         body, pendulum = self._body, self._pendulum
@@ -232,7 +238,7 @@ class RobotControl:
             yaw_rad=float(feet[0, 3] + turn / 2),
         )
 
-    def _move_swing_foot(self, latest: np.ndarray, steps: UpcomingSteps) -> None:
+    def _move_swing_foot(self, steps: UpcomingSteps) -> None:
         cursor, row = self._walker.cursor, self._row
         swinging = bool(cursor.swinging[row])
         side = int(cursor.side[row])
@@ -249,8 +255,7 @@ class RobotControl:
         target = cursor.foot_targets[row, side]
         time_s = -steps.lift_off_s[0] if len(steps.side) else np.inf
         swing_s = steps.touch_down_s[0] - steps.lift_off_s[0] if len(steps.side) else 0.1
-        sensors = self._walker.scene.sensors
-        force_n = float(latest[sensors.ground_force_world[side, 2]])
+        force_n = float(self._borne[side, 2])
         sole_z_m = float(self._feet[side, 2])
         if has_landed(sole_z_m, target[2], time_s, swing_s, force_n):
             self._swing, self._landed = None, swinging

@@ -21,6 +21,8 @@ from sim.robot import GRAVITY_M_S2
 # Feedback, 1/s and 1/s2; the mean error is taken over this time and clipped.
 PROPORTIONAL_HZ, INTEGRAL_HZ2 = 5.0, 10.0
 MEAN_OVER_S, MEAN_LIMIT_M = 10.0, 0.05
+# Readings of the velocity are averaged over this time where joint rates are noisy.
+VELOCITY_FILTER_S = 0.03
 # Weights of squares: net wrench missed, moment about the sole's middle, share of the feet.
 WRENCH_WEIGHT, MOMENT_WEIGHT, SHARE_WEIGHT = 10000.0, 100.0, 1.0
 FRICTION = 0.7
@@ -61,6 +63,43 @@ class DcmFeedback:
         self.mean_error_m = np.clip(self.mean_error_m, -MEAN_LIMIT_M, MEAN_LIMIT_M)
         pull = PROPORTIONAL_HZ * error + INTEGRAL_HZ2 * self.mean_error_m + lag
         return acceleration_d + self.omega * pull
+
+
+@dataclass
+class VelocityFilter:
+    """Velocity of the centre of mass (2,) of a robot that goes by noisy joint rates.
+
+    Between readings it is integrated with the acceleration that the pressure under the soles says,
+    omega^2 (c - p), so the filter delays nothing but a push.
+    """
+
+    omega: float
+    velocity: np.ndarray = field(default_factory=lambda: np.zeros(2))
+
+    def update(
+        self, com: np.ndarray, measured: np.ndarray, soles: np.ndarray, borne: np.ndarray,
+        time_s: float,
+    ) -> np.ndarray:  # fmt: skip
+        """The velocity (2,) now, `time_s` after the last reading.
+
+        Args:
+            com: the centre of mass (2,).
+            measured: its velocity (2,) by the joints.
+            soles: poses of the soles (2, 4) x, y, z, yaw.
+            borne: wrenches (2, 6) that they bear, about their middles and in their axes.
+            time_s: since the last call.
+        """
+        force_n = borne[:, 2].sum()
+        predicted = self.velocity
+        if force_n > LEAST_FORCE_N:
+            cos, sin = np.cos(soles[:, 3]), np.sin(soles[:, 3])
+            along, across = -borne[:, 4], borne[:, 3]
+            shift = np.column_stack([cos * along - sin * across, sin * along + cos * across])
+            pressure = (soles[:, :2] * borne[:, 2:3] + shift).sum(axis=0) / force_n
+            predicted = predicted + time_s * self.omega**2 * (com - pressure)
+        trust = min(time_s / VELOCITY_FILTER_S, 1.0)
+        self.velocity = predicted + trust * (measured - predicted)
+        return self.velocity
 
 
 def wrench_cone(half_sole_m: np.ndarray) -> np.ndarray:
