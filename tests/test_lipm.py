@@ -13,12 +13,19 @@ import mink
 from app.controllers import load_controlled
 from app.options import RobotOptions
 from app.output import InputError
-from controller.lipm.admittance import FootAdmittance, sole_wrench
+from controller.lipm.admittance import FootAdmittance, sole_wrench, upward_wrenches
 from controller.lipm.controller import Lag, LipmController
-from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, phases_of
+from controller.lipm.height import HeightGenerator
+from controller.lipm.pattern import SAMPLE_S, SAMPLES, PatternGenerator, Pendulum, phases_of
 from controller.lipm.servos import joint_targets, stiff
-from controller.lipm.stabilizer import PROPORTIONAL_HZ, DcmFeedback, ForceDistribution
+from controller.lipm.stabilizer import (
+    PROPORTIONAL_HZ,
+    DcmFeedback,
+    ForceDistribution,
+    VelocityFilter,
+)
 from controller.lipm.swing_foot import has_landed, swing_over
+from controller.lipm.whole_body import LegReach
 from controller.step_cursor import StepSequence, UpcomingSteps
 from controller.walker import Walker
 from sim.robots import get_robot, robot_names
@@ -104,6 +111,71 @@ def test_the_feet_together_bear_the_wrench_that_moves_the_centre_of_mass():
     assert (pressure_m <= HALF_SOLE_M).all()
 
 
+def test_the_velocity_of_the_body_is_found_in_noise_and_without_delay():
+    """A pendulum over the left sole, its velocity read with an error of 2 cm/s."""
+    rng, filtered = np.random.default_rng(0), VelocityFilter(omega=float(OMEGA))
+    com, velocity, pressure = np.array([-0.1, 0.06]), np.array([0.4, -0.1]), np.array([0.02, 0.08])
+    filtered.velocity = velocity.copy()
+    soles, errors = FEET.copy(), []
+    soles[0, 3] = 0.5
+    turn = np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
+    borne = upward_wrenches(
+        np.array([600.0, 0]), np.array([turn @ (pressure - FEET[0, :2]), [0, 0]])
+    )
+    for _ in range(100):
+        pull = OMEGA**2 * (com - pressure)
+        com, velocity = com + 0.005 * velocity, velocity + 0.005 * pull
+        read = velocity + rng.normal(0.0, 0.02, 2)
+        found = filtered.update(com, read, soles, borne, 0.005)
+        errors.append(found - velocity)
+    assert np.std(errors) < 0.01
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.005
+    assert np.linalg.norm(velocity - [0.4, -0.1]) > 0.3
+
+
+def test_what_a_sole_bears_by_its_pressure_is_what_it_bears_by_its_force():
+    pressure_m = np.array([0.03, -0.02])
+    bears = upward_wrenches(np.array([500.0, 0.0]), np.array([pressure_m, [0, 0]]))
+    force, point = np.array([0, 0, 500.0]), np.array([*pressure_m, 0])
+    np.testing.assert_allclose(bears[0], sole_wrench(force, point, np.zeros(3), np.eye(3)))
+    assert not bears[1].any()
+
+
+def test_the_body_is_as_low_as_the_leg_that_reaches_farthest_needs():
+    reach = LegReach(hip_m=np.zeros((2, 3)), ankle_m=np.zeros((2, 3)), longest_m=0.5)
+    feet = np.array([[0.3, 0.0, 0.1, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    # Triangles of sides 3, 4 and 5.
+    assert reach.most_com_z_m(np.zeros(2), feet, 0) == pytest.approx(0.5)
+    assert reach.most_com_z_m(np.array([0.3, 0.0]), feet, 1) == pytest.approx(0.4)
+    aside = replace(
+        reach, hip_m=np.array([[0, 0.1, -0.05]] * 2), ankle_m=np.array([[0, 0, 0.2]] * 2)
+    )
+    assert aside.most_com_z_m(np.array([0.3, -0.1]), feet, 1) == pytest.approx(0.65)
+
+
+def test_the_body_sinks_before_it_steps_down_and_not_faster_than_it_must():
+    reach = LegReach(hip_m=np.zeros((2, 3)), ankle_m=np.zeros((2, 3)), longest_m=0.5)
+    height = HeightGenerator(height_m=0.47, reach=reach, state=np.array([0.47, 0.0, 0.0]))
+    down = replace(STEP, pose_world=np.array([[0.2, -0.1, -0.1, 0.0]]))
+    heights, rates = [], []
+    for k in range(40):
+        now_s = SAMPLE_S * k
+        steps = replace(
+            down, lift_off_s=down.lift_off_s - now_s, touch_down_s=down.touch_down_s - now_s
+        )
+        com = np.tile([0.0, 0.1], (SAMPLES, 1))
+        height.solve(com, phases_of(FEET, steps))
+        height.advance(SAMPLE_S)
+        heights.append(height.state[0])
+        rates.append(height.state[2])
+    # 0.28 m from the lower foot: 0.41 m above it.
+    lowest_m = np.sqrt(0.5**2 - 0.08) - 0.1
+    assert heights[0] == pytest.approx(0.47, abs=0.005)
+    assert heights[18] < lowest_m + 0.005
+    assert heights[-1] == pytest.approx(lowest_m, abs=0.005)
+    assert 1.0 < np.abs(rates).max() < 2.0
+
+
 def test_a_sole_turns_away_from_the_moment_that_it_bears_in_excess():
     bears = sole_wrench(np.array([0, 0, 500.0]), np.array([0.02, 0, 0]), np.zeros(3), np.eye(3))
     np.testing.assert_allclose(bears, [0, 0, 500, 0, -10, 0])
@@ -119,12 +191,50 @@ def test_a_sole_turns_away_from_the_moment_that_it_bears_in_excess():
 def test_the_swing_foot_leaves_and_reaches_its_places_and_lands_by_force_alone():
     target = np.array([0.3, 0.1, 0.1, 0.2])
     swing = swing_over(np.array([0.0, 0.1, 0.0, 0.0]), target, -np.inf)
-    np.testing.assert_allclose(swing.pose(target, 0.0, 0.75), [0, 0.1, 0, 0])
-    np.testing.assert_allclose(swing.pose(target, 0.75, 0.75), target)
-    assert max(swing.pose(target, t, 0.75)[2] for t in np.linspace(0, 0.75, 76)) > 0.149
+    np.testing.assert_allclose(swing.move(target, 0.0, 0.75), [0, 0.1, 0, 0])
+    path = [swing.move(target, time_s, 0.75) for time_s in np.linspace(0, 0.75, 151)]
+    np.testing.assert_allclose(path[-1], target)
+    assert max(pose[2] for pose in path) == pytest.approx(0.15, abs=1e-4)
+    # Over ground that is lower than planned it goes on down, 3 cm at most.
+    assert swing.move(target, 0.85, 0.75)[2] == pytest.approx(0.09)
+    assert swing.move(target, 9.0, 0.75)[2] == pytest.approx(0.07)
     assert not has_landed(0.1, 0.1, 0.75, 0.75, force_n=10.0)
     assert has_landed(0.11, 0.1, 0.6, 0.75, force_n=100.0)
     assert not has_landed(0.11, 0.1, 0.2, 0.75, force_n=100.0)
+
+
+@pytest.mark.parametrize("climb_m", [0.1, 0.2, -0.1, -0.2])
+def test_no_toe_or_heel_touches_the_edge_of_a_stair(climb_m):
+    """One or two stairs of 10 cm and 27 cm; each edge is 2.5 cm from the soles on either side."""
+    stairs = round(abs(climb_m) / 0.1)
+    target = np.array([0.27 * stairs, 0.0, climb_m, 0.0])
+    swing = swing_over(np.zeros(4), target, -np.inf)
+    over = 0
+    for time_s in np.linspace(0, 0.75, 301):
+        x_m, _, z_m, _ = swing.move(target, time_s, 0.75)
+        for stair in range(stairs):
+            edge_m = 0.135 + 0.27 * stair
+            upper_m = np.sign(climb_m) * 0.1 * (stair + (climb_m > 0))
+            # The sole is 22 cm long: some of it is before the edge, and some beyond it.
+            if x_m - 0.11 < edge_m < x_m + 0.11:
+                over += 1
+                assert z_m > upper_m + 0.005
+    assert over > 20
+
+
+def test_a_swing_that_is_moved_and_hastened_goes_on_from_the_motion_it_has():
+    target, sooner = np.array([0.3, 0.1, 0.0, 0.2]), np.array([0.3, 0.2, 0.0, 0.2])
+    swing = swing_over(np.array([0.0, 0.1, 0.0, 0.0]), target, -np.inf)
+    times = np.arange(0.0, 0.5, 0.005)
+    poses = np.array(
+        [swing.move(target, t, 0.75) if t < 0.25 else swing.move(sooner, t, 0.4) for t in times]
+    )
+    np.testing.assert_allclose(poses[times > 0.401, :2], sooner[None, :2].repeat(19, 0), atol=1e-9)
+    assert np.abs(np.diff(poses[:, :3], axis=0)).max() < 0.02  # 4 m/s; at once it would be 17 cm
+    # One that is told of a change in its last moment takes its time.
+    swing = swing_over(np.array([0.0, 0.1, 0.0, 0.0]), target, -np.inf)
+    last = [swing.move(target, 0.70, 0.75), swing.move(sooner, 0.705, 0.75)]
+    assert np.abs(np.diff(last, axis=0)).max() < 0.005
 
 
 def test_servos_at_their_targets_exert_the_torques_asked_for():

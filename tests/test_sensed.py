@@ -275,7 +275,6 @@ def test_localization_that_jumps_stops_the_robot_and_plans_again():
     ("words", "said"),
     [
         (["--localization", "10"], "--localization goes with --sensed"),
-        (["--sensed", "--controller", "lipm"], "--sensed goes with --controller policy"),
         (["--sensed", "--localization", "0"], "'0' is not a number above 0"),
         (["--sensed", "--localization", "9", "--localization-noise", "0,0"], "must be above 0"),
         (["--sensed", "--localization-jump", "1"], "'1' is not a jump"),

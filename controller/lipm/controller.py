@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike
 
 from controller.gait import CONTROL_PERIOD_S
 from controller.lipm.admittance import FootAdmittance, sole_wrench, tilted, upward_wrenches
+from controller.lipm.height import HeightGenerator
 from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, StageFailed, phases_of
 from controller.lipm.servos import joint_targets, require_pace
 from controller.lipm.stabilizer import DcmFeedback, ForceDistribution, VelocityFilter
 from controller.lipm.swing_foot import SwingFoot, has_landed, swing_over
-from controller.lipm.whole_body import BodyTargets, WholeBody, lowered_m
+from controller.lipm.whole_body import BodyTargets, LegReach, WholeBody, lowered_m
 from controller.observation import places, policy_fields
 from controller.step_cursor import UpcomingSteps
 from controller.walker import Walker
@@ -32,9 +33,6 @@ PARTS = 5
 # From this error of the DCM on the robot counts as pushed: steps may change, and the pattern begins
 # anew from where the centre of mass is, which the posture follows at this rate.
 PUSHED_M, CATCH_UP_HZ = 0.04, 10.0
-# The centre of mass rises and sinks at this rate, critically damped, and with no more acceleration:
-# the servos pass every jerk on to the ground.
-CLIMB_HZ, CLIMB_M_S2 = 6.0, 1.5
 PART_S = CONTROL_PERIOD_S / PARTS
 REPLAN_PARTS = round(SAMPLE_S / PART_S)
 
@@ -62,6 +60,7 @@ class RobotControl:
         model = scene.model
         self._data = mujoco.MjData(model)
         self._height_m = self._body.com[2] - below_m
+        self._height = HeightGenerator(height_m=self._height_m, reach=LegReach.of(scene))
         foot = robot.step_model.foot
         half_sole_m = np.array([foot.length_m, foot.width_m]) / 2
         self._pattern = PatternGenerator(self._height_m, half_sole_m)
@@ -99,7 +98,7 @@ class RobotControl:
         self._feedback = DcmFeedback(omega=self._omega)
         self._velocity = VelocityFilter(omega=self._omega)
         com = self._data.subtree_com[self._pelvis]
-        self._com_z_m, self._climb_m_s = com[2], 0.0
+        self._height.state = np.array([com[2], 0.0, 0.0])
         for _ in range(10):
             body.follow(self._targets(com), 0.1)
         self._pendulum = Pendulum(
@@ -154,10 +153,13 @@ class RobotControl:
             velocity = self._velocity.update(com[:2], velocity, soles, self._borne, PART_S)
         if self._count % REPLAN_PARTS == 0:
             self._catch_up(com[:2], velocity)
-            self._jerk = self._pattern.solve(pendulum, phases_of(self._feet, steps))
+            phases = phases_of(self._feet, steps)
+            self._jerk = self._pattern.solve(pendulum, phases)
+            self._height.solve(self._pattern.path(pendulum, self._jerk), phases)
         self._count += 1
         reference = pendulum.com, pendulum.velocity, pendulum.acceleration
         pendulum.advance(self._jerk[0], PART_S)
+        self._height.advance(PART_S)
         self._lag.advance(PART_S)
         asked = self._feedback.acceleration(reference, com[:2], velocity, PART_S)
         wrenches = self._wrenches(com, asked)
@@ -185,14 +187,7 @@ class RobotControl:
 
     def _joint_targets(self, wrenches: np.ndarray) -> np.ndarray:
         body, pendulum = self._body, self._pendulum
-        ground_m = self._feet[:, 2].mean()
-        if self._swing is not None:
-            ground_m = self._feet[1 - self._swing_side, 2]
-        wish = ground_m + self._height_m
-        pull = CLIMB_HZ**2 * (wish - self._com_z_m) - 2 * CLIMB_HZ * self._climb_m_s
-        self._climb_m_s += PART_S * float(np.clip(pull, -CLIMB_M_S2, CLIMB_M_S2))
-        self._com_z_m += PART_S * self._climb_m_s
-        target = self._targets(np.array([*pendulum.com + self._lag.com, self._com_z_m]))
+        target = self._targets(np.array([*pendulum.com + self._lag.com, self._height.state[0]]))
         dq = body.follow(target, PART_S)[self._body.scene.joint_qvel]
         torque = body.torque_nm(wrenches)
         angles = body.qpos[body.scene.joint_qpos]
@@ -217,7 +212,7 @@ class RobotControl:
             load = np.array([1 - right, right])
         rotations = self._data.site_xmat[self._sites].reshape(2, 3, 3)
         return self._distribution.share(
-            self._mass_kg, com, np.array([*asked, 0.0]), soles, rotations, load
+            self._mass_kg, com, np.array([*asked, self._height.state[2]]), soles, rotations, load
         )
 
     def _targets(self, com: np.ndarray) -> BodyTargets:
@@ -260,7 +255,7 @@ class RobotControl:
         if has_landed(sole_z_m, target[2], time_s, swing_s, force_n):
             self._swing, self._landed = None, swinging
             return
-        self._feet[side] = self._swing.pose(target, time_s, swing_s)
+        self._feet[side] = self._swing.move(target, time_s, swing_s)
 
     def _anchor(self, side: int) -> None:
         """Turn and move the whole posture on the floor to where its support foot really stands."""

@@ -39,14 +39,20 @@ class StageFailed(RuntimeError):
 class Phase:
     """A support phase that ends at `end_s` from now, and its ZMP, which moves evenly over it.
 
-    `soles` (1 or 2, 4) are the poses x, y, z, yaw of the feet that stand.
+    `feet` (2, 4) are poses x, y, z, yaw, of which `standing` (2,) bear weight.
     """
 
     begin_s: float
     end_s: float
     zmp_from: np.ndarray
     zmp_to: np.ndarray
-    soles: np.ndarray
+    feet: np.ndarray
+    standing: tuple[bool, bool] = (True, True)
+
+    @property
+    def soles(self) -> np.ndarray:
+        """Poses (1 or 2, 4) of the feet that stand."""
+        return self.feet[list(self.standing)]
 
     def area(self, half_sole_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A rectangle within the soles and what lies between them.
@@ -75,12 +81,12 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
     feet = feet_world.copy()
     middle = feet[:, :2].mean(axis=0)
     if not len(steps.side):
-        return [Phase(begin_s=0.0, end_s=np.inf, zmp_from=middle, zmp_to=middle, soles=feet)]
+        return [Phase(begin_s=0.0, end_s=np.inf, zmp_from=middle, zmp_to=middle, feet=feet)]
     phases: list[Phase] = []
     begin_s, zmp = steps.lift_off_s[0] - SHIFT_S, middle
     if begin_s > 0:
         phases.append(
-            Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle, soles=feet.copy())
+            Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle, feet=feet.copy())
         )
     for k, side in enumerate(steps.side):
         support = feet[1 - side].copy()
@@ -92,7 +98,7 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
                     end_s=lift_off_s,
                     zmp_from=zmp,
                     zmp_to=support[:2],
-                    soles=feet.copy(),
+                    feet=feet.copy(),
                 )
             )
         if touch_down_s > 0:
@@ -102,14 +108,15 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
                     end_s=touch_down_s,
                     zmp_from=support[:2],
                     zmp_to=support[:2],
-                    soles=support[None],
+                    feet=feet.copy(),
+                    standing=(side == 1, side == 0),
                 )
             )
             feet[side] = steps.pose_world[k]
         zmp, begin_s = support[:2], touch_down_s
     middle = feet[:, :2].mean(axis=0)
     still_s = begin_s + SHIFT_S
-    last = Phase(begin_s=begin_s, end_s=still_s, zmp_from=zmp, zmp_to=middle, soles=feet)
+    last = Phase(begin_s=begin_s, end_s=still_s, zmp_from=zmp, zmp_to=middle, feet=feet)
     return [*phases, last, replace(last, begin_s=still_s, end_s=np.inf, zmp_from=middle)]
 
 
@@ -147,25 +154,35 @@ class Pendulum:
         self.velocity, self.acceleration = turn @ self.velocity, turn @ self.acceleration
 
 
+def integrated() -> tuple[np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration at the samples, by those now and the jerk over them.
+
+    State (3,) after sample k + 1: `free[k] @ state + forced[k] @ jerk`, of shapes (SAMPLES, 3, 3)
+    and (SAMPLES, 3, SAMPLES).
+    """
+    n, t = SAMPLES, SAMPLE_S
+    step = np.array([[1, t, t**2 / 2], [0, 1, t], [0, 0, 1]])
+    free, forced = np.zeros((n, 3, 3)), np.zeros((n, 3, n))
+    power = np.eye(3)
+    for k in range(n):
+        power = step @ power
+        free[k] = power
+        if k:
+            forced[k] = step @ forced[k - 1]
+        forced[k, :, k] = t**3 / 6, t**2 / 2, t
+    return free, forced
+
+
 class PatternGenerator:
     """Chooses the jerk (SAMPLES, 2) of a pendulum of this height with this half sole (2,)."""
 
     def __init__(self, height_m: float, half_sole_m: np.ndarray):
-        n, t = SAMPLES, SAMPLE_S
+        n = SAMPLES
         self._half_sole_m = half_sole_m
         self.relaxed = 0
         self._omega = np.sqrt(GRAVITY_M_S2 / height_m)
-        step = np.array([[1, t, t**2 / 2], [0, 1, t], [0, 0, 1]])
-        inputs = np.array([t**3 / 6, t**2 / 2, t])
-        # State after sample k + 1: free[k] @ state + forced[k] @ jerk.
-        free, forced = np.zeros((n, 3, 3)), np.zeros((n, 3, n))
-        power = np.eye(3)
-        for k in range(n):
-            power = step @ power
-            free[k] = power
-            if k:
-                forced[k] = step @ forced[k - 1]
-            forced[k, :, k] = inputs
+        free, forced = integrated()
+        self._com_free, self._com_forced = free[:, 0], forced[:, 0]
         zmp = np.array([1.0, 0.0, -1 / self._omega**2])
         dcm = np.array([1.0, 1 / self._omega, 0.0])
         self._zmp_free, self._zmp_forced = zmp @ free, zmp @ forced
@@ -202,6 +219,11 @@ class PatternGenerator:
         if jerk is None:
             raise StageFailed("the walking pattern has no solution")
         return jerk.reshape(2, SAMPLES).T
+
+    def path(self, pendulum: Pendulum, jerk: np.ndarray) -> np.ndarray:
+        """The centre of mass (SAMPLES, 2) at the samples of a jerk over the horizon."""
+        state = np.stack([pendulum.com, pendulum.velocity, pendulum.acceleration])
+        return np.asarray(self._com_free @ state + self._com_forced @ jerk)
 
     def _minimum(
         self,

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from controller.lipm.pattern import StageFailed
+from planner.plan import wrap_angle
 from sim.scene import Scene
 from sim.sensors import SIDES
 
@@ -22,7 +23,30 @@ CONTACT_WEIGHT, COM_WEIGHT, SWING_WEIGHT, PELVIS_WEIGHT, POSTURE_WEIGHT = 1e4, 1
 
 # A knee nearer to straight than this has to turn fast for the body to move by little.
 KNEE_LEAST_RAD = 0.75
+# Where stairs or wide steps leave no other way a knee comes as near to straight as this.
+KNEE_REACH_RAD = 0.5
 HIP, KNEE, ANKLE = 0, 3, 4  # of a leg's six joints
+
+
+def left_leg(scene: Scene, knee_rad: float) -> np.ndarray:
+    """From hip to ankle (3,), of the left leg in half-sitting but for a knee bent by so much."""
+    robot, model = scene.robot, scene.model
+    data, names = mujoco.MjData(model), [joint.name for joint in robot.joints]
+    knee = model.joint(names[KNEE])
+
+    def leg(angle_rad: float) -> np.ndarray:
+        data.qpos[:] = scene.standing_qpos
+        data.qpos[knee.qposadr[0]] = angle_rad
+        mujoco.mj_kinematics(model, data)
+        hip, ankle = (data.joint(names[which]).xanchor for which in (HIP, ANKLE))
+        return np.array(ankle - hip)
+
+    least_rad, most_rad = knee.range.tolist()
+    angles = np.linspace(least_rad, most_rad, 400)
+    straight_rad = angles[np.argmax([np.linalg.norm(leg(angle)) for angle in angles])]
+    return leg(
+        straight_rad + np.copysign(knee_rad, robot.joints[KNEE].half_sitting_rad - straight_rad)
+    )
 
 
 def lowered_m(scene: Scene) -> float:
@@ -30,27 +54,53 @@ def lowered_m(scene: Scene) -> float:
 
     The hips are then midway between the feet, half of that step from either ankle.
     """
-    robot, model = scene.robot, scene.model
-    data, names = mujoco.MjData(model), [joint.name for joint in robot.joints]
-    knee = model.joint(names[KNEE])
-
-    def leg(knee_rad: float) -> np.ndarray:
-        """From hip to ankle (3,), of the left leg in half-sitting but for the knee."""
-        data.qpos[:] = scene.standing_qpos
-        data.qpos[knee.qposadr[0]] = knee_rad
-        mujoco.mj_kinematics(model, data)
-        hip, ankle = (data.joint(names[which]).xanchor for which in (HIP, ANKLE))
-        return np.array(ankle - hip)
-
-    half_sitting_rad = robot.joints[KNEE].half_sitting_rad
-    least_rad, most_rad = knee.range.tolist()
-    angles = np.linspace(least_rad, most_rad, 400)
-    straight_rad = angles[np.argmax([np.linalg.norm(leg(angle)) for angle in angles])]
-    bend_rad = np.copysign(KNEE_LEAST_RAD, half_sitting_rad - straight_rad)
-    longest_m = np.linalg.norm(leg(straight_rad + bend_rad))
-    x_m, y_m, z_m = np.abs(leg(half_sitting_rad))
+    robot, names = scene.robot, [joint.name for joint in scene.robot.joints]
+    longest_m = np.linalg.norm(left_leg(scene, KNEE_LEAST_RAD))
+    data = _standing(scene)
+    hip, ankle = (data.joint(names[which]).xanchor for which in (HIP, ANKLE))
+    x_m, y_m, z_m = np.abs(ankle - hip)
     x_m += robot.training_model.limits.x_m[1] / 2
     return float(max(z_m - np.sqrt(longest_m**2 - x_m**2 - y_m**2), 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegReach:
+    """How far the legs reach with the pelvis upright: `longest_m` from hip to ankle.
+
+    `hip_m` (2, 3) is from the centre of mass to each hip, in the heading frame, `ankle_m` (2, 3)
+    from the middle of each sole to its ankle, in the sole's.
+    """
+
+    hip_m: np.ndarray
+    ankle_m: np.ndarray
+    longest_m: float
+
+    @classmethod
+    def of(cls, scene: Scene) -> LegReach:
+        """With the knees bent by `KNEE_REACH_RAD`, all else as in half-sitting."""
+        names, data = [joint.name for joint in scene.robot.joints], _standing(scene)
+        half, com = len(names) // 2, data.subtree_com[1]
+        hips = [data.joint(names[HIP + k * half]).xanchor for k in range(2)]
+        ankles = [data.joint(names[ANKLE + k * half]).xanchor for k in range(2)]
+        soles = [data.site(f"{side}_sole").xpos for side in SIDES]
+        return cls(
+            hip_m=np.array(hips) - com,
+            ankle_m=np.array(ankles) - np.array(soles),
+            longest_m=float(np.linalg.norm(left_leg(scene, KNEE_REACH_RAD))),
+        )
+
+    def most_com_z_m(self, com: np.ndarray, feet: np.ndarray, side: int) -> float:
+        """Greatest height of a centre of mass x, y (2,) at which a leg reaches its foot.
+
+        The feet (2, 4) are x, y, z, yaw; the pelvis heads midway between them.
+        """
+        yaw_rad = feet[0, 3] + float(wrap_angle(feet[1, 3] - feet[0, 3])) / 2
+        foot = feet[side]
+        hip = com + _rotated(self.hip_m[side], yaw_rad)
+        ankle = foot[:2] + _rotated(self.ankle_m[side], foot[3])
+        across_m = min(float(np.hypot(*(ankle - hip))), 0.8 * self.longest_m)
+        up_m = np.sqrt(self.longest_m**2 - across_m**2)
+        return float(foot[2] + self.ankle_m[side, 2] + up_m - self.hip_m[side, 2])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +215,21 @@ class WholeBody:
                 mujoco.mj_jacSite(model, data, jacobian[:3], jacobian[3:], site)
                 force -= (jacobian.T @ wrench)[joints]
         return force
+
+
+def _standing(scene: Scene) -> mujoco.MjData:
+    """The robot in half-sitting."""
+    data = mujoco.MjData(scene.model)
+    data.qpos[:] = scene.standing_qpos
+    mujoco.mj_kinematics(scene.model, data)
+    mujoco.mj_comPos(scene.model, data)
+    return data
+
+
+def _rotated(point: np.ndarray, yaw_rad: float) -> np.ndarray:
+    """A point's x, y (2,), turned."""
+    cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]])
 
 
 def _transform(rotation: np.ndarray, position: np.ndarray) -> mink.SE3:
