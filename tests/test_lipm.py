@@ -10,7 +10,9 @@ pytest.importorskip("mink")
 
 import mink
 
+from app.cli import main
 from app.controllers import load_controlled
+from app.navigation.report import NavigationReport
 from app.options import RobotOptions
 from app.output import InputError
 from controller.lipm.admittance import FootAdmittance, sole_wrench, upward_wrenches
@@ -319,6 +321,22 @@ def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, br
 def test_what_it_cannot_walk_is_refused_by_every_command(capsys, tmp_path, command, words, told):
     needed = {"serve": [], "evaluate": ["--out", tmp_path], "trials": ["--map", ROOM]}[command]
     assert told in refusal(capsys, command, "--controller", "lipm", *words, *needed)
+
+
+@pytest.mark.slow
+def test_it_walks_by_what_it_measures(tmp_path):
+    words = ["--map", ROOM, "--goal", "0.6,0.1,0.3", "--localization", "10", "--out", str(tmp_path)]
+    assert main(["navigate", "--controller", "lipm", "--sensed", *words]) == 0
+    report = NavigationReport.from_json((tmp_path / "report.json").read_text())
+    assert report.controller is not None
+    assert report.controller["state"].startswith("joints, inertial unit")
+    assert report.controller["relaxed"]["distribution"] == 0
+    assert report.recovery_steps == report.replans == 0
+    assert report.foot_error_m is not None
+    assert report.foot_error_m.median < 0.02
+    assert report.sensed is not None
+    assert 0 < report.sensed.drift_m < 0.02
+    assert report.sensed.fixes > 50
 
 
 @pytest.mark.slow

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from app.navigation.navigator import Navigator
+from controller.evaluation import push_recovery as pushed
 from controller.evaluation.push_recovery import DIRECTIONS, PUSH_S, push_recovery
+from controller.evaluation.rollouts import start_walks
 from controller.gait import CONTROL_PERIOD_S
 from controller.policy import load_policy
 from controller.recovery import (
@@ -149,6 +152,32 @@ def test_steps_move_no_farther_than_box_and_polygon_let_them():
     # the box has cut the move to 0.1, 0.15 and the edge x + y = 0.5 takes 0.2 of its 0.25.
     expected = [[0.05, -0.02], [0.2, 0.0], [0.0, 0.0], [0.0, 0.0], [0.08, 0.12]]
     assert moved_within(limits, steps, moves) == pytest.approx(np.array(expected))
+
+
+def test_walks_pushed_from_the_left_are_mirror_images_of_those_pushed_from_the_right(monkeypatch):
+    walkers: list[Walker] = []
+
+    def noted(*words: Any, **options: Any) -> Walker:
+        walkers.append(start_walks(*words, **options))
+        return walkers[-1]
+
+    monkeypatch.setattr(pushed, "start_walks", noted)
+    monkeypatch.setattr(pushed, "walk", lambda *_: iter(()))
+    for direction in ("from the right", "from the left"):
+        push_recovery(ROBOT, load_policy(ROBOT), direction, [10.0], count=8, seed=1)
+    right, left = walkers
+    index, sign = ROBOT.mirror_joints
+    at = right.scene.joint_qpos
+    np.testing.assert_array_equal(left.sim.qpos[:, at], sign * right.sim.qpos[:, at][:, index])
+    assert np.ptp(right.sim.qpos[:, at], axis=0).min() > 0.01
+    firsts = set()
+    for row in range(8):
+        here, there = right.cursor.upcoming(row), left.cursor.upcoming(row)
+        np.testing.assert_array_equal(there.side, 1 - here.side)
+        np.testing.assert_allclose(there.pose_world, here.pose_world * [1, -1, 1, -1], atol=1e-12)
+        np.testing.assert_array_equal(there.lift_off_s, here.lift_off_s)
+        firsts.add(int(here.side[0]))
+    assert firsts == {0, 1}
 
 
 @pytest.mark.slow

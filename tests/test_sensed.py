@@ -271,6 +271,28 @@ def test_localization_that_jumps_stops_the_robot_and_plans_again():
     assert "0.5" in report.reason or "0.4" in report.reason
 
 
+def test_between_the_parts_of_a_control_step_it_measures_anew():
+    navigator = Navigator(
+        HALL, ROBOT, POLICY, start=(0, 0, 0), goal=(0.5, 0, 0),
+        config=NavigatorConfig(sensing=SensingConfig(errors=EXACT)),
+    )  # fmt: skip
+    walker, seen = navigator.walker, []
+
+    def targets_rad(sensors: np.ndarray) -> np.ndarray:
+        assert walker.readings is not None
+        assert walker.estimated is not None
+        named = walker.scene.sensors.ground_force_world[:, 2]
+        np.testing.assert_array_equal(walker.readings.force_n, np.maximum(sensors[0, named], 0))
+        # Where it stands still the odometry is exact.
+        np.testing.assert_allclose(walker.estimated.qpos, walker.sim.qpos, atol=2e-4)
+        seen.append(walker.readings)
+        return walker.target_rad
+
+    walker.act_in_parts(5, targets_rad)
+    assert len({id(readings) for readings in seen}) == 5
+    assert seen[4].force_n.sum() > 0.5 * ROBOT.weight_n
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

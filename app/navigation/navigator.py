@@ -207,7 +207,7 @@ class Navigator:
             policy=policy,
             controller=None
             if isinstance(self.policy, Policy)
-            else {**report_of(self.robot), "relaxed": self.walker.relaxed[0]},
+            else report_of(self.robot, self.sensing is not None, self.walker.relaxed[0]),
             engine=self.config.engine.about,
             gait=self.gait.summary(),
             sensed=None if self.sensing is None else self.sensing.summary(),

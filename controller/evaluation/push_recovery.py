@@ -70,7 +70,9 @@ def push_recovery(
     """Share of `count` robots that are upright at the end, per impulse.
 
     All walk straight along the world's x and are pushed once, at a time uniform over a gait cycle.
-    With `moves_steps` their steps change as `navigate` changes them on free ground.
+    Those pushed from the left are the mirror images of those pushed from the right, so that the two
+    shares differ by no more than the robot and its controller do. With `moves_steps` their steps
+    change as `navigate` changes them on free ground.
     """
     rng = np.random.default_rng(seed)
     cycle_s = 2 * robot.gait.step_s
@@ -104,15 +106,25 @@ def _walk_pushed(
 ) -> np.ndarray:
     """Which robots (B,) are upright at the end of the walk."""
     steps = int(PUSH_WALK_S / SHORTEST_SWING_S) + 2
+    mirrored = any(push.direction == DIRECTIONS["from the left"] for push in pushes)
     width_m = robot.step_model.stance_width_m
     ahead_m = robot.step_model.limits.most_x_m(width_m)
 
     def draw(rng: np.random.Generator, row: int, feet: np.ndarray) -> StepSequence:
         length_m = rng.uniform(0.5, 1.0) * ahead_m
         relative = np.tile((length_m, width_m, 0.0), (steps, 1))
-        return chained(feet, int(rng.integers(2)), relative)
+        first = int(rng.integers(2))
+        return chained(feet, 1 - first if mirrored else first, relative)
 
-    walker = start_walks(robot, draw, count=len(pushes), seed=seed, threads=threads, engine=engine)
+    walker = start_walks(
+        robot,
+        draw,
+        count=len(pushes),
+        seed=seed,
+        threads=threads,
+        engine=engine,
+        mirrored=mirrored,
+    )
     still = (0.0, 0.0, 0.0)
     upright = np.ones(len(pushes), dtype=bool)
     for tick in walk(walker, controller, round(PUSH_WALK_S / CONTROL_PERIOD_S)):

@@ -64,8 +64,13 @@ def start_walks(
     engine: Engine = MUJOCO,
     record: tuple[str, ...] = (),
     hardware: HardwareErrors | None = None,
+    mirrored: bool = False,
 ) -> Walker:
-    """`count` robots near half-sitting, each before its own sequence."""
+    """`count` robots near half-sitting, each before its own sequence.
+
+    With `mirrored` they stand as the mirror images of those without; their sequences are up to
+    `draw`.
+    """
     scene = build_scene(robot, timestep_s=PHYSICS_TIMESTEP_S)
     rng = np.random.default_rng(seed)
     drawn = 0 if hardware is None else int(rng.integers(2**31))
@@ -81,7 +86,11 @@ def start_walks(
     feet = scene.soles_at(scene.standing_qpos)
     for row in range(count):
         qpos = scene.standing_qpos.copy()
-        qpos[scene.joint_qpos] += JOINT_NOISE_RAD * rng.uniform(-1, 1, len(robot.joints))
+        noise_rad = JOINT_NOISE_RAD * rng.uniform(-1, 1, len(robot.joints))
+        if mirrored:
+            index, sign = robot.mirror_joints
+            noise_rad = sign * noise_rad[index]
+        qpos[scene.joint_qpos] += noise_rad
         walker.place(row, qpos)
         wait_ticks = int(rng.integers(LONGEST_WAIT_TICKS + 1))
         walker.follow(row, draw(rng, row, feet), wait_ticks=wait_ticks)

@@ -283,7 +283,10 @@ def _later(steps: UpcomingSteps, time_s: float) -> UpcomingSteps:
 
 @dataclass(frozen=True, kw_only=True)
 class LipmController:
-    """Walks any robot whose servos are `stiff`; needs no training and is told the true state."""
+    """Walks any robot whose servos are `stiff`; needs no training.
+
+    It goes by the true state, or by what the walker's robot measures and estimates.
+    """
 
     is_paced: ClassVar[bool] = False
 

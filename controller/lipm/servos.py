@@ -7,6 +7,7 @@ belong to the controller, and reports tell them. This module loads neither MuJoC
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -72,12 +73,21 @@ def require_pace(robot: Robot, step_s: ArrayLike) -> None:
         )
 
 
-def report_of(robot: Robot) -> dict[str, Any]:
-    """What a report says of the controller that walks a `stiff` robot."""
+def report_of(
+    robot: Robot, sensed: bool = False, relaxed: Mapping[str, int] | None = None
+) -> dict[str, Any]:
+    """What a report says of the controller that walks a `stiff` robot.
+
+    sensed: whether it goes by the robot's sensors. relaxed: how often each stage dropped its
+    constraints; None: that is told elsewhere.
+    """
+    true = "true base pose and velocity, contact forces"
+    told = {} if relaxed is None else {"relaxed": dict(relaxed)}
     return {
         "name": "lipm",
         "rate_hz": 200,
-        "state": "true base pose and velocity, contact forces",
+        "state": "joints, inertial unit and forces at the soles, as measured" if sensed else true,
         "kp_nm_rad": {joint.name: joint.kp for joint in robot.joints},
         "kd_nm_s_rad": {joint.name: joint.kd for joint in robot.joints},
+        **told,
     }
