@@ -15,10 +15,18 @@ from app.controllers import load_controlled
 from app.navigation.report import NavigationReport
 from app.options import RobotOptions
 from app.output import InputError
+from controller.evaluation.rollouts import chained
 from controller.lipm.admittance import FootAdmittance, sole_wrench, upward_wrenches
 from controller.lipm.controller import Lag, LipmController
 from controller.lipm.height import HeightGenerator
-from controller.lipm.pattern import SAMPLE_S, SAMPLES, PatternGenerator, Pendulum, phases_of
+from controller.lipm.pattern import (
+    SAMPLE_S,
+    SAMPLES,
+    SOLE_SHARE,
+    PatternGenerator,
+    Pendulum,
+    phases_of,
+)
 from controller.lipm.servos import joint_targets, stiff
 from controller.lipm.stabilizer import (
     PROPORTIONAL_HZ,
@@ -28,8 +36,10 @@ from controller.lipm.stabilizer import (
 )
 from controller.lipm.swing_foot import has_landed, swing_over
 from controller.lipm.whole_body import LegReach
+from controller.recovery import change_steps, step_change
 from controller.step_cursor import StepSequence, UpcomingSteps
 from controller.walker import Walker
+from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 from tests.programs import ROOM, refusal
@@ -157,7 +167,7 @@ def test_the_body_is_as_low_as_the_leg_that_reaches_farthest_needs():
 
 def test_the_body_sinks_before_it_steps_down_and_not_faster_than_it_must():
     reach = LegReach(hip_m=np.zeros((2, 3)), ankle_m=np.zeros((2, 3)), longest_m=0.5)
-    height = HeightGenerator(height_m=0.47, reach=reach, state=np.array([0.47, 0.0, 0.0]))
+    height = HeightGenerator(height_m=0.47, reach=reach, state=np.array([0.458, 0.0, 0.0]))
     down = replace(STEP, pose_world=np.array([[0.2, -0.1, -0.1, 0.0]]))
     heights, rates = [], []
     for k in range(40):
@@ -166,13 +176,14 @@ def test_the_body_sinks_before_it_steps_down_and_not_faster_than_it_must():
             down, lift_off_s=down.lift_off_s - now_s, touch_down_s=down.touch_down_s - now_s
         )
         com = np.tile([0.0, 0.1], (SAMPLES, 1))
-        height.solve(com, phases_of(FEET, steps))
+        feet = FEET if now_s < 0.9 else np.array([FEET[0], down.pose_world[0]])
+        height.solve(com, phases_of(feet, steps))
         height.advance(SAMPLE_S)
         heights.append(height.state[0])
         rates.append(height.state[2])
-    # 0.28 m from the lower foot: 0.41 m above it.
+    # At first 0.2 m aside of the right foot, at last 0.28 m and on a stair 10 cm lower.
     lowest_m = np.sqrt(0.5**2 - 0.08) - 0.1
-    assert heights[0] == pytest.approx(0.47, abs=0.005)
+    assert heights[0] == pytest.approx(np.sqrt(0.5**2 - 0.2**2), abs=0.005)
     assert heights[18] < lowest_m + 0.005
     assert heights[-1] == pytest.approx(lowest_m, abs=0.005)
     assert 1.0 < np.abs(rates).max() < 2.0
@@ -262,10 +273,33 @@ def test_a_pattern_that_cannot_stay_in_the_sole_is_relaxed_and_counted():
     on_one_foot = replace(STEP, lift_off_s=np.array([-0.1]), touch_down_s=np.array([5.0]))
     jerk = pattern.solve(pendulum, phases_of(FEET, on_one_foot))
     assert pattern.relaxed == 1
+    zmp = []
     for each in jerk:
         pendulum.advance(each, SAMPLE_S)
-    # It still comes to rest over the foot that it stands on.
-    np.testing.assert_allclose(pendulum.com + pendulum.velocity / OMEGA, FEET[0, :2], atol=1e-6)
+        zmp.append(pendulum.com - pendulum.acceleration / OMEGA**2)
+    # It does what it can: the ZMP goes to the outer edge of the foot, and stays there.
+    outer_m = FEET[0, 1] + SOLE_SHARE * HALF_SOLE_M[1]
+    np.testing.assert_allclose(np.array(zmp)[:16], [[0.0, outer_m]] * 16, atol=0.01)
+
+
+def test_the_soles_bear_a_zmp_within_their_hull():
+    """Two soles of 20 by 10 cm, the right one 20 cm ahead and turned by a quarter."""
+    feet = np.array([[0.0, 0.1, 0.0, 0.0], [0.2, -0.1, 0.0, np.pi / 2]])
+    both = phases_of(feet, replace(STEP, lift_off_s=np.array([5.0]), touch_down_s=np.array([6.0])))
+    half_m = HALF_SOLE_M / SOLE_SHARE
+
+    def bears(phase: Any, *point: float) -> bool:
+        normals, offsets = phase.hull(half_m)
+        return bool((normals @ np.array(point) <= offsets + 1e-6).all())
+
+    within = [(-0.1, 0.15), (0.1, 0.15), (0.25, -0.2), (0.15, -0.2), (0.25, 0.0), (0.0, 0.0)]
+    beyond = [(-0.1, 0.16), (0.26, -0.1), (0.14, -0.2), (0.2, 0.1), (-0.05, -0.01)]
+    assert [bears(both[0], *point) for point in within] == [True] * 6
+    assert [bears(both[0], *point) for point in beyond] == [False] * 5
+    assert len(both[0].hull(half_m)[0]) == 6
+    alone = replace(both[0], standing=(False, True))
+    assert bears(alone, 0.25, -0.2)
+    assert not bears(alone, 0.14, -0.1)
 
 
 def test_the_posture_catches_up_with_a_pattern_that_began_anew():
@@ -321,6 +355,31 @@ def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, br
 def test_what_it_cannot_walk_is_refused_by_every_command(capsys, tmp_path, command, words, told):
     needed = {"serve": [], "evaluate": ["--out", tmp_path], "trials": ["--map", ROOM]}[command]
     assert told in refusal(capsys, command, "--controller", "lipm", *words, *needed)
+
+
+@pytest.mark.slow
+def test_pushed_from_the_left_it_moves_as_the_mirror_image_of_pushed_from_the_right():
+    robot = stiff(get_robot("jvrc1"))
+    scene = build_scene(robot, timestep_s=0.001)
+    walker = Walker(scene, count=2)
+    feet = scene.soles_at(scene.standing_qpos)
+    for row, first in enumerate((Side.LEFT, Side.RIGHT)):
+        walker.place(row, scene.standing_qpos)
+        steps = np.tile((0.2, robot.step_model.stance_width_m, 0.0), (5, 1))
+        walker.follow(row, chained(feet, first, steps), wait_ticks=4)
+    tick, disturbed = LipmController().start(walker), np.zeros(2, dtype=bool)
+    # Outward over the foot that has just begun to stand alone: 12.5 N s.
+    force_n = np.array([[0.0, 125.0, 0.0], [0.0, -125.0, 0.0]])
+    for number in range(120):
+        walker.sim.push(force_n * (70 <= number < 74))
+        tick()
+        change_steps(walker, step_change(walker))
+        disturbed |= walker.disturbed
+        soles = walker.soles_world()
+        np.testing.assert_allclose(soles[1], soles[0, ::-1] * [1, -1, 1, -1], atol=1e-2)
+    assert disturbed.all()
+    assert not walker.fallen().any()
+    assert soles[0, :, 0].min() > 0.3
 
 
 @pytest.mark.slow

@@ -18,6 +18,8 @@ from controller.lipm.pattern import (
     OPTIMAL,
     SAMPLE_S,
     SAMPLES,
+    SOFT,
+    SOFT_OPTIMAL,
     Phase,
     StageFailed,
     integrated,
@@ -27,9 +29,6 @@ from controller.lipm.whole_body import LegReach
 
 # Weights of squared jerk and of squared distance from the wish.
 JERK_WEIGHT, HEIGHT_WEIGHT = 1.0, 5e4
-# daqp's mark of a constraint that may be missed, at a price far above those weights, and its flag
-# of a solution that misses some.
-SOFT, SOFT_OPTIMAL = 8, 2
 
 
 @dataclass(kw_only=True)

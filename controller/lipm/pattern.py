@@ -17,6 +17,7 @@ import daqp
 import numpy as np
 
 from controller.step_cursor import UpcomingSteps
+from planner.robot_model import Side
 from sim.robot import GRAVITY_M_S2
 
 SAMPLE_S, SAMPLES = 0.05, 32
@@ -27,8 +28,16 @@ JERK_WEIGHT, ZMP_WEIGHT = 1e-3, 1000.0
 SOLE_SHARE = 0.9
 # Before the first step the weight goes over to its support foot within this time.
 SHIFT_S = 0.6
-# daqp's flags of a solution, and of a constraint that is an equation.
-OPTIMAL, EQUATION = 1, 5
+# In single support the ZMP's reference lies so far inward of the sole's middle: a push outward over
+# the support foot cannot be stepped against, so that side of the sole is kept free for it.
+INWARD_M = 0.015
+# daqp's flags of a solution, and of one that misses soft constraints.
+OPTIMAL, SOFT_OPTIMAL = 1, 2
+# Its marks of a constraint that is an equation, and of one that may be missed at a price far above
+# all weights here.
+EQUATION, SOFT = 5, 8
+# Weight of what the end is missed by where it cannot be reached.
+END_WEIGHT = 1.0
 
 
 class StageFailed(RuntimeError):
@@ -72,6 +81,20 @@ class Phase:
             half_m = np.array([length_m / 2 + narrow_m, narrow_m])
         return np.array([[cos, sin], [-sin, cos]]), (first + last)[:2] / 2, half_m
 
+    def hull(self, half_sole_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """All that the soles can bear: `normals @ point <= offsets`, of shapes (m, 2) and (m,)."""
+        cos, sin = np.cos(self.soles[:, 3]), np.sin(self.soles[:, 3])
+        turn = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), 2, 0)
+        corners = SOLE_SHARE * half_sole_m * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+        points = (self.soles[:, None, :2] + corners @ turn.transpose(0, 2, 1)).reshape(-1, 2)
+        side = points[None] - points[:, None]
+        length_m = np.linalg.norm(side, axis=2)
+        normals = np.stack([side[..., 1], -side[..., 0]], axis=2)
+        normals = normals / np.maximum(length_m, 1e-9)[..., None]
+        offsets = (normals * points[:, None]).sum(axis=2)
+        edges = (normals @ points.T <= offsets[..., None] + 1e-9).all(axis=2) & (length_m > 1e-6)
+        return normals[edges], offsets[edges]
+
 
 def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
     """Support phases from now on, of feet (2, 4) that stand and steps to come; the last is endless.
@@ -89,7 +112,7 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
             Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle, feet=feet.copy())
         )
     for k, side in enumerate(steps.side):
-        support = feet[1 - side].copy()
+        stance = inward_of(feet[1 - side], 1 - int(side))
         lift_off_s, touch_down_s = steps.lift_off_s[k], steps.touch_down_s[k]
         if lift_off_s > 0:
             phases.append(
@@ -97,7 +120,7 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
                     begin_s=begin_s,
                     end_s=lift_off_s,
                     zmp_from=zmp,
-                    zmp_to=support[:2],
+                    zmp_to=stance,
                     feet=feet.copy(),
                 )
             )
@@ -106,18 +129,24 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
                 Phase(
                     begin_s=lift_off_s,
                     end_s=touch_down_s,
-                    zmp_from=support[:2],
-                    zmp_to=support[:2],
+                    zmp_from=stance,
+                    zmp_to=stance,
                     feet=feet.copy(),
                     standing=(side == 1, side == 0),
                 )
             )
             feet[side] = steps.pose_world[k]
-        zmp, begin_s = support[:2], touch_down_s
+        zmp, begin_s = stance, touch_down_s
     middle = feet[:, :2].mean(axis=0)
     still_s = begin_s + SHIFT_S
     last = Phase(begin_s=begin_s, end_s=still_s, zmp_from=zmp, zmp_to=middle, feet=feet)
     return [*phases, last, replace(last, begin_s=still_s, end_s=np.inf, zmp_from=middle)]
+
+
+def inward_of(foot: np.ndarray, side: int) -> np.ndarray:
+    """The point x, y (2,) inward of the middle of a foot (4,) that the ZMP has for a reference."""
+    across_m = -INWARD_M if side == Side.LEFT else INWARD_M
+    return np.array(foot[:2] + across_m * np.array([-np.sin(foot[3]), np.cos(foot[3])]))
 
 
 def phase_at(phases: Sequence[Phase], time_s: float) -> Phase:
@@ -191,12 +220,16 @@ class PatternGenerator:
         axis = JERK_WEIGHT * np.eye(n) + ZMP_WEIGHT * self._zmp_forced.T @ self._zmp_forced
         self._cost = np.kron(np.eye(2), axis)
         self._equations = np.kron(np.eye(2), self._end_forced)
+        self._open_cost = self._cost + END_WEIGHT * self._equations.T @ self._equations
 
     def solve(self, pendulum: Pendulum, phases: Sequence[Phase]) -> np.ndarray:
         """The jerk (SAMPLES, 2) over the horizon.
 
+        Where no ZMP there leads to a rest at the end, such as after a push before a step is moved,
+        it goes as far as the soles can bear towards that and leaves the end open.
+
         Raises:
-            StageFailed: there is none, even with the ZMP anywhere.
+            StageFailed: there is none, even so.
         """
         state = np.stack([pendulum.com, pendulum.velocity, pendulum.acceleration])
         times = SAMPLE_S * (np.arange(SAMPLES) + 1)
@@ -211,11 +244,15 @@ class PatternGenerator:
         inside = (turn[..., None] * self._zmp_forced[:, None, None]).reshape(-1, 2 * SAMPLES)
         centre = np.einsum("kij,kj->ki", turn, middle - free_zmp).ravel()
         bound = half_m.ravel()
-        jerk = self._minimum(slope, equations, end.T.ravel(), inside, centre, bound)
+        values = end.T.ravel()
+        rows, sense = np.vstack([equations, inside]), np.zeros(len(values) + len(bound), np.int32)
+        sense[: len(values)] = EQUATION
+        upper, lower = np.r_[values, centre + bound], np.r_[values, centre - bound]
+        jerk = _minimum(self._cost, slope, rows, upper, lower, sense)
         if jerk is None:
             self.relaxed += 1
-            none = np.zeros((0, 2 * SAMPLES)), np.zeros(0), np.zeros(0)
-            jerk = self._minimum(slope, equations, end.T.ravel(), *none)
+            slope = slope - END_WEIGHT * equations.T @ values
+            jerk = self._open_ended(slope, free_zmp, at)
         if jerk is None:
             raise StageFailed("the walking pattern has no solution")
         return jerk.reshape(2, SAMPLES).T
@@ -225,22 +262,29 @@ class PatternGenerator:
         state = np.stack([pendulum.com, pendulum.velocity, pendulum.acceleration])
         return np.asarray(self._com_free @ state + self._com_forced @ jerk)
 
-    def _minimum(
-        self,
-        slope: np.ndarray,
-        equations: np.ndarray,
-        values: np.ndarray,
-        inside: np.ndarray,
-        centre: np.ndarray,
-        bound: np.ndarray,
+    def _open_ended(
+        self, slope: np.ndarray, free_zmp: np.ndarray, at: Sequence[Phase]
     ) -> np.ndarray | None:
-        sense = np.r_[np.full(len(values), EQUATION), np.zeros(len(bound))].astype(np.int32)
-        jerk, _, flag, _ = daqp.solve(
-            self._cost,
-            slope,
-            np.ascontiguousarray(np.vstack([equations, inside])),
-            np.concatenate([values, centre + bound]),
-            np.concatenate([values, centre - bound]),
-            sense,
-        )
-        return np.asarray(jerk) if flag == OPTIMAL else None
+        """The jerk with the ZMP anywhere within the soles of the phases (SAMPLES,)."""
+        hulls = {id(phase): phase.hull(self._half_sole_m) for phase in at}
+        rows, upper = [], []
+        for k, phase in enumerate(at):
+            normals, offsets = hulls[id(phase)]
+            rows.append((normals[:, :, None] * self._zmp_forced[k]).reshape(len(normals), -1))
+            upper.append(offsets - normals @ free_zmp[k])
+        most = np.concatenate(upper)
+        soft = np.full(len(most), SOFT, np.int32)
+        least = np.full(len(most), -1e30)
+        return _minimum(self._open_cost, slope, np.vstack(rows), most, least, soft)
+
+
+def _minimum(
+    cost: np.ndarray,
+    slope: np.ndarray,
+    rows: np.ndarray,
+    upper: np.ndarray,
+    lower: np.ndarray,
+    sense: np.ndarray,
+) -> np.ndarray | None:
+    jerk, _, flag, _ = daqp.solve(cost, slope, np.ascontiguousarray(rows), upper, lower, sense)
+    return np.asarray(jerk) if flag in (OPTIMAL, SOFT_OPTIMAL) else None
