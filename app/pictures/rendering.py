@@ -171,9 +171,8 @@ def add_footmarks(scene: mujoco.MjvScene, marks: Sequence[Footmark], time_s: flo
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         half_m = (_PLACED_THICKNESS_M if mark.is_placed else _PLANNED_THICKNESS_M) / 2
         # The colours of plans' pictures are written blue, green, red.
-        colour = shade(
-            (LEFT if mark.side is Side.LEFT else RIGHT)[::-1], is_pale=not mark.is_placed
-        )
+        colour = LEFT if mark.side is Side.LEFT else RIGHT
+        colour = shade(colour[::-1], is_pale=not mark.is_placed)
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom],
             mujoco.mjtGeom.mjGEOM_BOX.value,
