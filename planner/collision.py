@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maps.grid import OccupancyGrid, distance_field
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.robot_model import RoundedBox, StepModel, level_box, rounded_box
 
 # A box that touches a cell counts as hitting it, so that rounding never makes a check optimistic.
@@ -70,7 +70,7 @@ def point_clearance(terrain: Terrain, x: float, y: float) -> float:
     return clearance_at(terrain.clearance_m, terrain.resolution_m, x, y)
 
 
-@njit_no_refcount
+@njit_inner
 def clearance_at(clearance_m: NDArray[np.float32], size_m: float, x: float, y: float) -> float:
     """`point_clearance` for loops that have the field (H, W) and its cells' size at hand."""
     rows, cols = clearance_m.shape
@@ -87,7 +87,7 @@ def radius_of(box: RoundedBox) -> float:
     return math.sqrt(box[0] * box[0] + box[1] * box[1]) + box[2] + 1e-6
 
 
-@njit_no_refcount
+@njit_inner
 def corner_gap(
     dx: float, dy: float, half: float, cos: float, sin: float, half_l: float, half_w: float
 ) -> tuple[int, float, float]:

@@ -18,8 +18,14 @@ import numpy as np
 
 from maps.grid import OccupancyGrid
 from planner.cache import cache_folder
+from planner.collision import terrain_of
 from planner.compiled import FUNCTIONS, on_compiling
-from planner.options import PlannerOptions
+from planner.heuristics.distance_field import path_toward
+from planner.heuristics.potential import build_potential
+from planner.lattice.goal_region import POINT, ends_in, last_foot
+from planner.lattice.lattice import build_lattice, node_poses
+from planner.lattice.steps import build_step_table
+from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.planner import Planner
 from planner.refinement.refine import compile_refinement
 from planner.robot_model import StepModel
@@ -35,7 +41,7 @@ def compile_ahead(
     """Compiles what plans of this kind need, if it is not in the cache; seconds that it took.
 
     0 if it is there, or where nothing can be kept: then it is compiled while planning.
-    With two cores refinement is compiled in a process of its own, beside the search.
+    With two cores half of it is compiled in a process of its own, beside the search.
     on_progress: called with the number of functions that are compiled, that of all, a few of which
     are not needed, and the name of what is compiled next.
     """
@@ -73,12 +79,12 @@ def compile_ahead(
 def _beside(
     model: StepModel, options: PlannerOptions, compiled: set[str]
 ) -> Iterator[threading.Thread | None]:
-    """Compiles refinement in another process, where there is a core for it.
+    """Compiles `compile_parts` in another process, where there is a core for it.
 
     What it gives lives as long as that goes on, and adds the names of what is compiled there. A
     process that fails leaves all to this one.
     """
-    if not options.refine or _cores() < 2:
+    if _cores() < 2:
         yield None
         return
     # Not by multiprocessing, for which the processes that plan may have no children.
@@ -112,13 +118,13 @@ def _beside(
 _BESIDE = """
 import pickle, sys
 sys.path[:] = pickle.load(sys.stdin.buffer)
-from planner.compilation import compile_refinement_alone
-compile_refinement_alone(*pickle.load(sys.stdin.buffer))
+from planner.compilation import compile_beside
+compile_beside(*pickle.load(sys.stdin.buffer))
 """
 
 
-def compile_refinement_alone(model: StepModel, options: PlannerOptions) -> None:
-    """Compiles what moves the steps of a plan; prints the name of each function that is compiled.
+def compile_beside(model: StepModel, options: PlannerOptions) -> None:
+    """Compiles what `compile_parts` does; prints the name of each function that is compiled.
 
     Ends where nobody reads them any more, and leaves Ctrl-C to the process that began it.
     """
@@ -131,8 +137,25 @@ def compile_refinement_alone(model: StepModel, options: PlannerOptions) -> None:
             print(name, flush=True)
 
     with contextlib.suppress(BrokenPipeError), on_compiling(tell):
-        compile_refinement(Planner(_FLOOR, model, options).goal_context(_GOAL).lattice, model)
+        compile_parts(model, options)
         tell("")
+
+
+def compile_parts(model: StepModel, options: PlannerOptions) -> None:
+    """Compiles the half of a plan for which neither a search nor the robot's tables are needed.
+
+    Paths of the body, which a search soon comes to; what it comes to last; refinement.
+    """
+    steps = build_step_table(model)
+    terrain = terrain_of(_FLOOR, unknown_is_free=False)
+    lattice = build_lattice(_FLOOR, terrain, model, steps, _GOAL)
+    if options.name not in SAMPLING_PLANNERS:
+        path_toward(lattice, build_potential(model, steps), lattice.goal_cell)
+        ends = ends_in(lattice, POINT)
+        node_poses(lattice, ends)
+        last_foot(lattice, int(ends[0]))
+    if options.refine:
+        compile_refinement(lattice, model)
 
 
 def _name(function: Any) -> str:

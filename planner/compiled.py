@@ -7,11 +7,12 @@ import mmap
 import os
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 from numba import config, njit
 from numba.core import event
+from numba.core.registry import CPUDispatcher
 from numpy.typing import DTypeLike, NDArray
 
 from planner.cache import cache_folder
@@ -41,19 +42,47 @@ def njit_arrays(function: _Function) -> _Function:
     return _compiled(function, _nrt=True)
 
 
+def njit_inner(function: _Function) -> _Function:
+    """As `njit_no_refcount`, for a function that compiled ones alone call.
+
+    It is compiled without the code that takes its arguments over from Python, which for the tuples
+    of arrays here is longer than most functions. Called from Python it raises TypeError.
+    """
+    return _inner(_compiled(function, _nrt=False, no_cpython_wrapper=True))
+
+
+def njit_inner_arrays(function: _Function) -> _Function:
+    """As `njit_arrays`, for a function that compiled ones alone call: see `njit_inner`."""
+    return _inner(_compiled(function, _nrt=True, no_cpython_wrapper=True))
+
+
+class _Inner(CPUDispatcher):
+    """A compiled function without an entry for Python, where numba would call address 0."""
+
+    def __call__(self, *_: object) -> NoReturn:
+        name = self.py_func.__name__
+        raise TypeError(f"{name} has no entry for Python: compiled functions call it")
+
+
+def _inner(function: Any) -> Any:
+    if isinstance(function, CPUDispatcher):  # it is not where NUMBA_DISABLE_JIT is set
+        function.__class__ = _Inner
+    return function
+
+
 def _compiled(function: _Function, **options: bool) -> _Function:
     """The function, compiled when it is called, or taken from the cache of these sources.
 
-    Without the entry for callers in C, which nobody uses, compiling takes a twelfth less.
+    Without the entry for callers in C, which nobody uses, compiling takes a twelfth less. No
+    divisor is 0, so there is no code that raises an error for it.
     numba asks where the cache is when a function is decorated, so it is told for that long only:
     other code in the process keeps to its own.
     """
     folder, before = cache_folder(), _config.CACHE_DIR
     _config.CACHE_DIR = str(folder or "")
     try:
-        compiled: _Function = _jit(cache=folder is not None, no_cfunc_wrapper=True, **options)(
-            function
-        )
+        jit = _jit(cache=folder is not None, no_cfunc_wrapper=True, error_model="numpy", **options)
+        compiled: Any = jit(function)
     finally:
         _config.CACHE_DIR = before
     FUNCTIONS.append(compiled)
@@ -147,7 +176,7 @@ def tiled(cols: int, rows: int) -> int:
     return (cols // 8 + 1) * (rows // 8 + 1) * 64
 
 
-@njit_no_refcount
+@njit_inner
 def in_tiles(col: int, row: int, cols: int) -> int:
     """Place of a cell in tiles of 8 x 8 cells, for fewer pages of memory than row by row."""
     return (row >> 3) * (cols // 8 + 1) + (col >> 3) << 6 | (row & 7) << 3 | col & 7
@@ -181,14 +210,14 @@ def slots_for(nodes: int) -> Slots:
     return Slots(zeros((nodes >> BITS) + 1, np.int32), np.zeros(1, np.int64))
 
 
-@njit_no_refcount
+@njit_inner
 def slot_of(slots: Slots, node: int) -> int:
     """The slot of a node; one in which nothing is known if it has none."""
     block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
     return block << BITS | node & LOW
 
 
-@njit_no_refcount
+@njit_inner
 def take_slot(slots: Slots, node: int) -> int:
     """The slot of a node, which it gets if it has none."""
     block: int = np.int64(slots.of_block[node >> BITS])  # type: ignore[assignment]
@@ -197,7 +226,7 @@ def take_slot(slots: Slots, node: int) -> int:
     return block << BITS | node & LOW
 
 
-@njit_no_refcount
+@njit_inner
 def next_block(of_block: NDArray[np.int32], used: NDArray[np.int64], node: int) -> int:
     """The number of new slots for the block of a node."""
     used[0] += 1
@@ -214,7 +243,7 @@ def slots_of(slots: Slots, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
     return found
 
 
-@njit_no_refcount
+@njit_inner
 def first_not_below(ascending: NDArray[np.int64], value: int) -> int:
     """Index of the first number that is at least this value; the last index if none is.
 

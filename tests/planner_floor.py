@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from maps.grid import Cell, OccupancyGrid
-from planner.heuristics.heuristic import Heuristic, estimate
+from planner.heuristics import heuristic
+from planner.heuristics.heuristic import Heuristic
 from planner.lattice.lattice import Lattice
 from planner.options import PlannerOptions
 from planner.plan import FootstepPlan, feet_at, to_frame
@@ -18,7 +19,10 @@ from planner.planner import Planner, plan_footsteps
 from planner.robot_model import StepLimits, StepModel
 from planner.search.problem import Request
 from planner.search.reachability import Floods, Verdict
+from tests.compiled import from_python
 from tests.planner_oracle import Node, Oracle, lattice_node, small_model
+
+estimate = from_python(heuristic.estimate)
 
 
 def first_quick(values: Iterable[Any]) -> list[Any]:

@@ -12,19 +12,23 @@ from maps.grid import Cell
 from planner.collision import terrain_of
 from planner.compiled import slots_of
 from planner.heuristics.heuristic import tables_of
-from planner.lattice.goal_region import may_end_at
+from planner.lattice import goal_region
 from planner.lattice.lattice import COST_UM, D_NODE, build_lattice, node_free
 from planner.lattice.map_change import change_between
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
 from planner.planner import Planner, plan_footsteps
 from planner.robot_model import Side
-from planner.search.ad_star_tree import edge_cost_um
+from planner.search import ad_star_tree
 from planner.search.best_first import ROOT
 from planner.search.problem import new_tree
 from planner.verify import violations
+from tests.compiled import from_python
 from tests.planner_floor import CASES, first_quick, walled
 from tests.planner_oracle import Oracle, small_model
+
+may_end_at = from_python(goal_region.may_end_at)
+edge_cost_um = from_python(ad_star_tree.edge_cost_um)
 
 KEPT = PlannerOptions(name="adstar", refine=False)
 PROVEN = replace(KEPT, improve_expansions=None)

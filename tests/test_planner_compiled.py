@@ -7,25 +7,29 @@ import mmap
 import sys
 import time
 from pathlib import Path
+from typing import TypeGuard
 
 import numba
 import numpy as np
 import pytest
 
 import planner
+from planner import compiled
 from planner.compiled import (
-    first_not_below,
-    in_tiles,
     njit_arrays,
     njit_no_refcount,
     on_compiling,
-    slot_of,
     slots_for,
     slots_of,
-    take_slot,
     tiled,
     zeros,
 )
+from tests.compiled import from_python
+
+first_not_below = from_python(compiled.first_not_below)
+in_tiles = from_python(compiled.in_tiles)
+slot_of = from_python(compiled.slot_of)
+take_slot = from_python(compiled.take_slot)
 
 
 def test_nodes_get_slots_of_their_own_when_they_are_come_to():
@@ -83,19 +87,23 @@ FOLDER = Path(planner.__file__).parent
 PLAIN = {"None", "bool", "int", "float", "tuple", "_Box"}
 
 
-def compiled_functions(by: str) -> list[ast.FunctionDef]:
-    """The functions of the package that are compiled by this decorator."""
-    nodes = [
-        node
-        for path in sorted(FOLDER.rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    ]
-    return [
-        node
-        for node in nodes
-        if isinstance(node, ast.FunctionDef)
-        and any(isinstance(d, ast.Name) and d.id == by for d in node.decorator_list)
-    ]
+BOTH = {"njit_no_refcount", "njit_inner"}, {"njit_arrays", "njit_inner_arrays"}
+INNER = {"njit_inner", "njit_inner_arrays"}
+
+
+def trees() -> list[ast.Module]:
+    """The files of the package."""
+    return [ast.parse(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.rglob("*.py"))]
+
+
+def is_compiled(node: ast.AST, by: set[str]) -> TypeGuard[ast.FunctionDef]:
+    """Whether a node is a function with one of these decorators."""
+    return isinstance(node, ast.FunctionDef) and bool(names_in(*node.decorator_list) & by)
+
+
+def compiled_functions(by: set[str]) -> list[ast.FunctionDef]:
+    """The functions of the package that are compiled by one of these decorators."""
+    return [node for tree in trees() for node in ast.walk(tree) if is_compiled(node, by)]
 
 
 def is_plain(function: ast.FunctionDef) -> bool:
@@ -104,14 +112,14 @@ def is_plain(function: ast.FunctionDef) -> bool:
     return names_in(function.returns) <= PLAIN
 
 
-def names_in(node: ast.AST) -> set[str]:
-    return {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+def names_in(*nodes: ast.AST) -> set[str]:
+    return {n.id for node in nodes for n in ast.walk(node) if isinstance(n, ast.Name)}
 
 
 def test_lean_functions_neither_give_back_arrays_nor_take_any_from_others():
-    functions = compiled_functions("njit_no_refcount")
+    functions = compiled_functions(BOTH[0])
     assert len(functions) > 50
-    giving = {f.name for f in compiled_functions("njit_arrays") if not is_plain(f)}
+    giving = {f.name for f in compiled_functions(BOTH[1]) if not is_plain(f)}
     assert "with_room" in giving
     for function in functions:
         assert is_plain(function), function.name
@@ -125,6 +133,31 @@ def test_every_loop_is_compiled_by_one_of_the_two():
         if "from numba" in path.read_text(encoding="utf-8")
     ]
     assert users == ["compiled.py"]
+
+
+def named_by_python(tree: ast.Module) -> set[str]:
+    """What the functions of a file that are not compiled, and the file itself, name of planner."""
+    known = {node.name for node in tree.body if is_compiled(node, set().union(*BOTH))}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("planner."):
+            known |= {alias.name for alias in node.names}
+    plain = [node for node in tree.body if not is_compiled(node, set().union(*BOTH))]
+    return known & names_in(*plain)
+
+
+def test_what_python_calls_has_an_entry_and_nothing_else():
+    python = set().union(*(named_by_python(tree) for tree in trees()))
+    assert "relax" in python
+    inner = {function.name for function in compiled_functions(INNER)}
+    assert len(inner) > 50
+    assert not inner & python
+    others = {function.name for function in compiled_functions(set().union(*BOTH) - INNER)}
+    assert others <= python
+
+
+def test_a_function_without_an_entry_says_so_to_python():
+    with pytest.raises(TypeError, match="first_not_below has no entry for Python"):
+        compiled.first_not_below(np.arange(3), 1)
 
 
 @njit_no_refcount

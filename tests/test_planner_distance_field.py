@@ -9,6 +9,7 @@ import pytest
 
 from maps.grid import Cell
 from planner.collision import terrain_of
+from planner.heuristics import wavefront
 from planner.heuristics.distance_field import lazy_path_costs, path_costs
 from planner.heuristics.heuristic import estimates, tables_of
 from planner.heuristics.potential import MOVES
@@ -21,12 +22,12 @@ from planner.heuristics.wavefront import (
     cell_shut,
     moves_of,
     propagate,
-    straight_um,
 )
 from planner.lattice.lattice import build_lattice
 from planner.options import PlannerOptions
 from planner.planner import Planner
 from planner.search.ad_star import heuristic_near_paths
+from tests.compiled import from_python
 from tests.planner_floor import (
     CASES,
     blocked_at,
@@ -38,6 +39,8 @@ from tests.planner_floor import (
     walled,
 )
 from tests.planner_oracle import small_model
+
+straight_um = from_python(wavefront.straight_um)
 
 MODEL = small_model()
 TABLES = tables_of(MODEL)

@@ -14,25 +14,22 @@ from maps.grid import OccupancyGrid
 from planner.collision import terrain_of
 from planner.lattice.steps import feet_apart
 from planner.planner import Planner
-from planner.refinement.constraints import (
-    DIRECTIONS,
-    add_block,
-    distances_to_blocked,
-    evaluate_constraints,
-    new_workspace,
-)
-from planner.refinement.cost import (
-    add,
-    add_step_cost,
-    foot_height_um,
-    gap_axis,
-    plan_cost_um,
-    step_between,
-)
-from planner.refinement.interior_point import solve_banded
+from planner.refinement import constraints, cost, interior_point
+from planner.refinement.constraints import DIRECTIONS, new_workspace
+from planner.refinement.cost import foot_height_um, plan_cost_um
+from tests.compiled import from_python
 from tests.planner_floor import LATTICE
 from tests.planner_oracle import small_model
 from tests.planner_refinement import FLOOR, problem_of, random_floor, shy_model
+
+add_block = from_python(constraints.add_block)
+distances_to_blocked = from_python(constraints.distances_to_blocked)
+evaluate_constraints = from_python(constraints.evaluate_constraints)
+add_step_cost = from_python(cost.add_step_cost)
+gap_axis = from_python(cost.gap_axis)
+step_between = from_python(cost.step_between)
+add = from_python(cost.add)
+solve_banded = from_python(interior_point.solve_banded)
 
 
 def test_the_cost_of_a_chain_is_that_of_the_search():

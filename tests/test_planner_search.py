@@ -15,10 +15,12 @@ from planner.heuristics.turning import SECTORS
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
 from planner.planner import Planner, plan_footsteps, plan_through
+from planner.search import best_first
 from planner.search.ara_star import coarse_model, nodes_on_fine
-from planner.search.best_first import enters_bin, new_bins
+from planner.search.best_first import new_bins
 from planner.verify import violations
 from sim.robots import get_robot
+from tests.compiled import from_python
 from tests.planner_floor import (
     CASES,
     FLOOR,
@@ -30,6 +32,8 @@ from tests.planner_floor import (
     walled,
 )
 from tests.planner_oracle import lattice_node, small_model
+
+enters_bin = from_python(best_first.enters_bin)
 
 MODEL = get_robot("jvrc1").step_model
 

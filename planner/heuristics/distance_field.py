@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.heuristics.goal_table import GoalTable
 from planner.heuristics.potential import Potential
 from planner.heuristics.wavefront import (
@@ -83,20 +83,15 @@ def ring_on_map(lattice: Lattice, goal_table: GoalTable) -> tuple[Int64s, Int64s
     return (row * lattice.cols + col)[on_map], goal_table.ring[on_map, 2]
 
 
-@njit_no_refcount
 def _raise_outside(
     lattice: Lattice, cost_um: Int32s, ring_um: Int32s, inside: NDArray[np.bool_]
 ) -> None:
     """Raises costs outside the ring to those by way of the ring."""
-    reach = len(inside) // 2
-    for row in range(lattice.rows):
-        up = row - lattice.origin_row + reach
-        for col in range(lattice.cols):
-            cell, across = row * lattice.cols + col, col - lattice.origin_col + reach
-            if 0 <= up <= 2 * reach and 0 <= across <= 2 * reach and inside[up, across]:
-                continue
-            if cost_um[cell] > 0:
-                cost_um[cell] = max(cost_um[cell], ring_um[cell])
+    outside, size = np.ones((lattice.rows, lattice.cols), np.bool_), len(inside)
+    row, col = lattice.origin_row - size // 2, lattice.origin_col - size // 2
+    on_map = np.s_[max(-row, 0) : lattice.rows - row, max(-col, 0) : lattice.cols - col]
+    outside[max(row, 0) : row + size, max(col, 0) : col + size] = ~inside[on_map]
+    np.copyto(cost_um, ring_um, where=outside.reshape(-1) & (cost_um > 0) & (ring_um > cost_um))
 
 
 class Strip(NamedTuple):
@@ -200,7 +195,7 @@ def raise_by_arrival(
     return far_um
 
 
-@njit_no_refcount
+@njit_inner
 def _is_straight(
     row: int, col: int, path_um: int, ahead: StraightCost, inside: NDArray[np.bool_]
 ) -> bool:
@@ -212,7 +207,7 @@ def _is_straight(
     return path_um - 1 <= straight_um(ahead, col, row)
 
 
-@njit_no_refcount
+@njit_inner
 def _downhill(lattice: Lattice, cost_um: Int32s, cell: int) -> int:
     """The cheapest cell two around; -1 where none is cheaper."""
     best = cell

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.heuristics.potential import Potential
 from planner.lattice.steps import IntArray, StepTable, final_cost_um, moved_cells
 from planner.robot_model import StepModel
@@ -127,7 +127,7 @@ def _fill(
                     cost_um[before] = cost
 
 
-@njit_no_refcount
+@njit_inner
 def least_step(steps: IntArray) -> int:
     """Cost of the cheapest step of `backward_steps`."""
     rows, most, _ = steps.shape

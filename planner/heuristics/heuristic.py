@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.cache import cache_folder, source_digest
-from planner.compiled import njit_arrays, njit_no_refcount
+from planner.compiled import njit_arrays, njit_inner
 from planner.heuristics.distance_field import least_in_cells, path_costs
 from planner.heuristics.goal_table import GoalTable, build_goal_table
 from planner.heuristics.potential import Potential, build_potential
@@ -132,7 +132,7 @@ def full_heuristic(lattice: Lattice, tables: Tables, cost_um: NDArray[np.int32])
     )
 
 
-@njit_no_refcount
+@njit_inner
 def estimate(lattice: Lattice, heuristic: Heuristic, node: int) -> int:
     """Lower bound in micrometres on the cost from a node to the end of a plan."""
     row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import in_tiles, njit_no_refcount, tiled, zeros
+from planner.compiled import in_tiles, njit_inner, njit_no_refcount, tiled, zeros
 from planner.heuristics.goal_table import (
     FAR_UM,
     GoalTable,
@@ -149,7 +149,7 @@ def no_detours(cols: int, rows: int) -> NDArray[np.int32]:
     return zeros(tiled(cols, rows) * SECTORS, np.int32).reshape(-1, SECTORS)
 
 
-@njit_no_refcount
+@njit_inner
 def measure_detours(
     best_um: NDArray[np.int32],
     col: int,
@@ -174,7 +174,7 @@ def measure_detours(
         best_um[rim[i, 2]] = min(best_um[rim[i, 2]], path + rim[i, 3] + 1)
 
 
-@njit_no_refcount
+@njit_inner
 def exit_bound(
     detour_um: NDArray[np.int32],
     turn_um: IntArray,

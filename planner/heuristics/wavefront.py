@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain, clearance_at, point_clearance
-from planner.compiled import njit_arrays, njit_no_refcount, with_room
+from planner.compiled import njit_arrays, njit_inner, njit_no_refcount, with_room
 from planner.heuristics.potential import MOVES, Potential
 from planner.lattice.lattice import Int64s, Lattice, out_of_frame
 from planner.time_limit import check_time
@@ -70,7 +70,7 @@ def moves_of(potential: Potential) -> Moves:
     return Moves(MOVES, potential.move_um, potential.reach_m)
 
 
-@njit_no_refcount
+@njit_inner
 def straight_um(ahead: StraightCost, col: int, row: int) -> int:
     """Cost of the straight path from a cell, less the slack."""
     if ahead.level_um == 0:
@@ -121,7 +121,7 @@ def propagate(
     Returns NOWHERE_UM once no cell is left; else a lower bound on cost + ahead of all cells that
     were not expanded. Raises OutOfTime where a limit passes on the way.
     """
-    queue = _queue_seeds(lattice, cost_um, seeds, seed_um, moves, ahead)
+    queue = _queue_with(lattice, cost_um, seeds, seed_um, moves, ahead)
     while not _expand(lattice, cost_um, moves, wanted, beyond_um, ahead, queue):
         check_time()
         used = len(queue.cells)
@@ -201,8 +201,7 @@ def _expand(
     return True
 
 
-@njit_arrays
-def _queue_seeds(
+def _queue_with(
     lattice: Lattice,
     cost_um: NDArray[np.int32],
     seeds: Int64s,
@@ -211,40 +210,49 @@ def _queue_seeds(
     ahead: StraightCost,
 ) -> Queue:
     """The queue with the seeds in it."""
-    least_um, most_um = NOWHERE_UM, 0
-    for move_um in moves.cost_um:
-        least_um, most_um = min(least_um, move_um), max(most_um, move_um)
-    shift = 0
-    while 2 << shift <= least_um:
-        shift += 1
-    key_um = all_straight_um(ahead, lattice.cols, seeds)
-    low, high = NOWHERE_UM, 0
-    for i in range(len(seeds)):
-        key_um[i] += seed_um[i]
-        low, high = min(low, key_um[i]), max(high, key_um[i])
+    least_um, most_um = int(moves.cost_um.min()), int(moves.cost_um.max())
+    shift = max(least_um.bit_length() - 1, 0)
+    key_um = all_straight_um(ahead, lattice.cols, seeds) + seed_um
+    low, high = int(key_um.min(initial=NOWHERE_UM)), int(key_um.max(initial=0))
     # The straight path changes by no more than a move costs.
     span = (2 * most_um + max(high - low, 0) >> shift) + 2
-    ring = 1
-    while ring < span:
-        ring *= 2
-    head = np.empty(ring, np.int64)
-    head[:] = -1
     room = max(1 << 13, 2 * len(seeds))
-    cells, costs = np.empty(room, np.int64), np.empty(room, np.int64)
-    after = np.empty(room, np.int64)
-    used = 0
-    for i in range(len(seeds)):
-        cell, slot = seeds[i], key_um[i] >> shift & ring - 1
-        if cost_um[cell] == SHUT_CELL or cell_shut(lattice, cell, moves.reach_m):
-            continue
-        cost_um[cell] = seed_um[i] + 1
-        cells[used], costs[used] = cell, seed_um[i] + 1
-        after[used], head[slot] = head[slot], used
-        used += 1
-    return Queue(head, cells, costs, after, np.array([shift, low >> shift, -1, used, used]))
+    queue = Queue(
+        head=np.full(1 << (span - 1).bit_length(), -1, np.int64),
+        cells=np.empty(room, np.int64),
+        costs=np.empty(room, np.int64),
+        after=np.empty(room, np.int64),
+        at=np.array([shift, low >> shift, -1, 0, 0]),
+    )
+    _insert_seeds(lattice, cost_um, seeds, seed_um, key_um, moves.reach_m, queue)
+    return queue
 
 
 @njit_no_refcount
+def _insert_seeds(
+    lattice: Lattice,
+    cost_um: NDArray[np.int32],
+    seeds: Int64s,
+    seed_um: Int64s,
+    key_um: Int64s,
+    reach_m: float,
+    queue: Queue,
+) -> None:
+    """Puts those seeds (n,) into an empty queue where a body can be."""
+    head, at = queue.head, queue.at
+    used = 0
+    for i in range(len(seeds)):
+        cell, slot = seeds[i], key_um[i] >> at[SHIFT] & len(head) - 1
+        if cost_um[cell] == SHUT_CELL or cell_shut(lattice, cell, reach_m):
+            continue
+        cost_um[cell] = seed_um[i] + 1
+        queue.cells[used], queue.costs[used] = cell, seed_um[i] + 1
+        queue.after[used], head[slot] = head[slot], used
+        used += 1
+    at[USED] = at[WAITING] = used
+
+
+@njit_inner
 def _any_reached(cost_um: NDArray[np.int32], cells: Int64s) -> bool:
     highest_um = 0
     for i in range(len(cells)):
@@ -252,7 +260,7 @@ def _any_reached(cost_um: NDArray[np.int32], cells: Int64s) -> bool:
     return highest_um > 0
 
 
-@njit_no_refcount
+@njit_inner
 def _on_map(
     plane: tuple[tuple[float, float, float, float], float, int, int], col: int, row: int
 ) -> tuple[float, float]:
@@ -268,7 +276,7 @@ def cell_shut(lattice: Lattice, cell: int, reach_m: float) -> bool:
     return _is_shut(lattice, cell - row * lattice.cols, row, reach_m)
 
 
-@njit_no_refcount
+@njit_inner
 def _is_shut(lattice: Lattice, col: int, row: int, reach_m: float) -> bool:
     if min(row, col) < _RIM or row >= lattice.rows - _RIM or col >= lattice.cols - _RIM:
         return True
@@ -277,7 +285,7 @@ def _is_shut(lattice: Lattice, col: int, row: int, reach_m: float) -> bool:
     return is_nearer(lattice.terrain, x, y, reach_m)
 
 
-@njit_no_refcount
+@njit_inner
 def is_nearer(terrain: Terrain, x: float, y: float, reach_m: float) -> bool:
     """Whether blocked ground or the map's edge is nearer to a point than reach_m, exactly.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, box_free
-from planner.compiled import njit_arrays, njit_no_refcount, slot_of
+from planner.compiled import njit_arrays, njit_inner, njit_no_refcount, slot_of
 from planner.lattice.lattice import (
     Int64s,
     Lattice,
@@ -64,7 +64,7 @@ def ends_in(lattice: Lattice, region: GoalRegion) -> Int64s:
 POINT = GoalRegion()
 
 
-@njit_no_refcount
+@njit_inner
 def beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     """Where the other foot stands beside that of a node, and where the body is: x, y, x, y.
 
@@ -76,7 +76,7 @@ def beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     return x + 2.0 * over_x, y + 2.0 * over_y, x + over_x, y + over_y
 
 
-@njit_no_refcount
+@njit_inner
 def _foot_beside(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     """As `node_foot`, of the other foot beside that of a node."""
     foot_x, foot_y, _, _ = beside(lattice, node)
@@ -85,7 +85,7 @@ def _foot_beside(lattice: Lattice, node: int) -> tuple[float, float, float, floa
     return x, y, cos, sin
 
 
-@njit_no_refcount
+@njit_inner
 def may_end_at(lattice: Lattice, node: int) -> bool:
     """Whether both feet may stand side by side, one of them at a node."""
     if not node_free(lattice, node):
@@ -102,11 +102,16 @@ def may_end_at(lattice: Lattice, node: int) -> bool:
 
 
 @njit_no_refcount
-def height_beside(lattice: Lattice, node: int) -> int:
-    """Height in micrometres of the ground under the other foot beside that of a node."""
-    if len(lattice.node_um) == 0:
-        return 0
-    return level_height_um(lattice, _foot_beside(lattice, node))
+def last_foot(lattice: Lattice, node: int) -> tuple[float, float, int]:
+    """Where the other foot stands beside that of a node: x, y, and the ground in micrometres.
+
+    In the frame of the lattice.
+    """
+    x, y, _, _ = beside(lattice, node)
+    height_um = 0
+    if len(lattice.node_um) > 0:
+        height_um = level_height_um(lattice, _foot_beside(lattice, node))
+    return x, y, height_um
 
 
 @njit_arrays

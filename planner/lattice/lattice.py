@@ -28,6 +28,7 @@ from planner.collision import (
 from planner.compiled import (
     Slots,
     njit_arrays,
+    njit_inner,
     njit_no_refcount,
     slot_of,
     slots_for,
@@ -196,20 +197,20 @@ def _swing_reach(model: StepModel) -> float:
     return step_m + model.stance_width_m + sole_m
 
 
-@njit_no_refcount
+@njit_inner
 def out_of_frame(frame: Frame, x: float, y: float) -> tuple[float, float]:
     """Point of a frame, given by x, y, cos and sin, in the frame that it is given in."""
     ox, oy, cos, sin = frame
     return ox + cos * x - sin * y, oy + sin * x + cos * y
 
 
-@njit_no_refcount
+@njit_inner
 def to_grid(lattice: Lattice, x: float, y: float) -> tuple[float, float]:
     """Point of the lattice frame in the grid frame."""
     return out_of_frame(lattice.frame, x, y)
 
 
-@njit_no_refcount
+@njit_inner
 def decoded(lattice: Lattice, node: int) -> tuple[int, int, int, int]:
     """Column and row of a node, both from the goal's cell, its heading and its side."""
     cell = (node >> 1) // lattice.headings
@@ -217,7 +218,7 @@ def decoded(lattice: Lattice, node: int) -> tuple[int, int, int, int]:
     return col, row, (node >> 1) % lattice.headings, node & 1
 
 
-@njit_no_refcount
+@njit_inner
 def node_pose(lattice: Lattice, node: int) -> tuple[float, float, float]:
     """x, y and yaw of the foot of a node in the lattice frame."""
     col, row, heading, side = decoded(lattice, node)
@@ -230,11 +231,12 @@ def node_poses(lattice: Lattice, nodes: Int64s) -> Floats:
     """`node_pose` (n, 3) of nodes (n,)."""
     poses = np.empty((len(nodes), 3))
     for i in range(len(nodes)):
-        poses[i] = node_pose(lattice, nodes[i])
+        # A row assigned as a whole would bring along, compiled, the text of an error.
+        poses[i, 0], poses[i, 1], poses[i, 2] = node_pose(lattice, nodes[i])
     return poses
 
 
-@njit_no_refcount
+@njit_inner
 def node_foot(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     """Where the foot of a node is, x and y in the grid frame, and cosine and sine of its yaw."""
     x, y, _ = node_pose(lattice, node)
@@ -243,7 +245,7 @@ def node_foot(lattice: Lattice, node: int) -> tuple[float, float, float, float]:
     return x, y, lattice.cos[2 * heading], lattice.sin[2 * heading]
 
 
-@njit_no_refcount
+@njit_inner
 def foot_at(pose: Floats) -> tuple[float, float, float, float]:
     """The foot of a pose (3,) in the grid frame."""
     return pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
@@ -262,7 +264,7 @@ def node_free(lattice: Lattice, node: int) -> bool:
     return state == FREE
 
 
-@njit_no_refcount
+@njit_inner
 def check_node(lattice: Lattice, node: int, slot: int) -> int:
     """FREE or BLOCKED, which it also notes in the node's slot."""
     state = FREE if _node_is_free(lattice, node, slot) else BLOCKED
@@ -270,7 +272,7 @@ def check_node(lattice: Lattice, node: int, slot: int) -> int:
     return state
 
 
-@njit_no_refcount
+@njit_inner
 def far_from_all(
     clearance_m: NDArray[np.float32],
     size_m: float,
@@ -291,7 +293,7 @@ def far_from_all(
     return clearance_at(clearance_m, size_m, body_x, body_y) > radii_m[1]
 
 
-@njit_no_refcount
+@njit_inner
 def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
     x, y, cos, sin = node_foot(lattice, node)
     if not box_free(lattice.terrain, x, y, cos, sin, lattice.foot):
@@ -306,13 +308,14 @@ def _node_is_free(lattice: Lattice, node: int, slot: int) -> bool:
     return box_free(lattice.terrain, body_x, body_y, cos, sin, lattice.body)
 
 
-@njit_no_refcount
+@njit_inner
 def node_height_um(lattice: Lattice, node: int) -> int:
     """Height of the ground under a node that was found free; the floor must not be flat."""
-    return lattice.node_um[slot_of(lattice.slots, node)]
+    height_um: int = np.int64(lattice.node_um[slot_of(lattice.slots, node)])  # type: ignore[assignment]
+    return height_um
 
 
-@njit_no_refcount
+@njit_inner
 def level_height_um(lattice: Lattice, foot: Foot) -> int:
     """Height of the ground under a foot in micrometres; NO_GROUND_UM where it is not level.
 
@@ -323,7 +326,7 @@ def level_height_um(lattice: Lattice, foot: Foot) -> int:
     return high if high - low <= lattice.climb_um[2] else NO_GROUND_UM
 
 
-@njit_no_refcount
+@njit_inner
 def _half_point(lattice: Lattice, half: int) -> tuple[float, float]:
     """Point half = row * 2 * cols + col of the grid of half cells, in the grid frame."""
     width = 2 * lattice.cols
@@ -331,14 +334,14 @@ def _half_point(lattice: Lattice, half: int) -> tuple[float, float]:
     return to_grid(lattice, 0.5 * col * lattice.cell_m, 0.5 * row * lattice.cell_m)
 
 
-@njit_no_refcount
+@njit_inner
 def half_clearance(lattice: Lattice, half: int) -> float:
     """Clearance in metres of a point of the grid of half cells, see `_half_point`."""
     x, y = _half_point(lattice, half)
     return point_clearance(lattice.terrain, x, y)
 
 
-@njit_no_refcount
+@njit_inner
 def pair_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     """Whether the body's box at the pair pose of a step is free; cached."""
     key = (half * 2 * lattice.headings + half_heading) * 2
@@ -354,7 +357,7 @@ def pair_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     return free
 
 
-@njit_no_refcount
+@njit_inner
 def pair_known_free(lattice: Lattice, half: int, half_heading: int) -> bool:
     """As `pair_free`, without asking for the box where the clearance alone says that it is free."""
     if half_clearance(lattice, half) > radius_of(lattice.body):
@@ -371,7 +374,7 @@ def clearance_cost(lattice: Lattice, clearance_m: float) -> int:
     return int(cost_um * min(1.0, (wanted_m - clearance_m) / (wanted_m - worst_m)))
 
 
-@njit_no_refcount
+@njit_inner
 def step_climbs(lattice: Lattice, support: int, swing: int) -> bool:
     """As `feet_climb`, between two free nodes. The floor must not be flat."""
     support_um, swing_um = node_height_um(lattice, support), node_height_um(lattice, swing)
@@ -385,7 +388,7 @@ def step_climbs(lattice: Lattice, support: int, swing: int) -> bool:
     return _swing_clears(lattice, foot, node_foot(lattice, swing), swing & 1, highest)
 
 
-@njit_no_refcount
+@njit_inner
 def feet_climb(
     lattice: Lattice, support: Foot, swing: Foot, support_um: int, swing_um: int, side: int
 ) -> bool:
@@ -400,7 +403,7 @@ def feet_climb(
     return _swing_clears(lattice, support, swing, side, highest)
 
 
-@njit_no_refcount
+@njit_inner
 def _lower_around(lattice: Lattice, foot: Foot, highest: int) -> bool:
     """Whether all ground that a step from this foot can have to do with is no higher."""
     terrain: Terrain = lattice.terrain
@@ -412,7 +415,7 @@ def _lower_around(lattice: Lattice, foot: Foot, highest: int) -> bool:
     return terrain.highest_um[row, col] <= highest
 
 
-@njit_no_refcount
+@njit_inner
 def _swing_clears(lattice: Lattice, support: Foot, swing: Foot, side: int, highest: int) -> bool:
     """Whether the ground below a step's swing is no higher than that (um).
 

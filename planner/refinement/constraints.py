@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, Terrain, corner_gap, point_clearance, radius_of
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner
 from planner.lattice.lattice import Lattice
 from planner.refinement.cost import RefinementProblem, gap_axis, pair_pose_of, turn_between
 from planner.robot_model import RoundedBox
@@ -52,7 +52,7 @@ class _Box(NamedTuple):
     by_yaw_cell: float
 
 
-@njit_no_refcount
+@njit_inner
 def _box(x: float, y: float, yaw: float, rounded: RoundedBox, size: float) -> _Box:
     half_l, half_w, radius = rounded
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -74,7 +74,7 @@ def _box(x: float, y: float, yaw: float, rounded: RoundedBox, size: float) -> _B
     )
 
 
-@njit_no_refcount
+@njit_inner
 def distances_to_blocked(
     terrain: Terrain,
     x: float,
@@ -109,7 +109,7 @@ def distances_to_blocked(
     return True
 
 
-@njit_no_refcount
+@njit_inner
 def distances_to_level_edge(
     terrain: Terrain,
     x: float,
@@ -144,7 +144,7 @@ def distances_to_level_edge(
     return True
 
 
-@njit_no_refcount
+@njit_inner
 def _cells_around(terrain: Terrain, box: _Box, range_m: float) -> tuple[int, int, int, int]:
     """First and last row and column of the cells that may lie in range of a box."""
     rows, cols = terrain.blocked.shape
@@ -158,7 +158,7 @@ def _cells_around(terrain: Terrain, box: _Box, range_m: float) -> tuple[int, int
     )
 
 
-@njit_no_refcount
+@njit_inner
 def _measure_edges(terrain: Terrain, box: _Box, distances: FloatArray) -> None:
     """Measures to the edges of the map, which no box may cross."""
     rows, cols = terrain.blocked.shape
@@ -173,7 +173,7 @@ def _measure_edges(terrain: Terrain, box: _Box, distances: FloatArray) -> None:
             _measure_on_map_axis(box, direction, gap, distances)
 
 
-@njit_no_refcount
+@njit_inner
 def _measure_cell(box: _Box, dx: float, dy: float, half: float, distances: FloatArray) -> None:
     """Measures to a cell with its centre at (dx, dy) from that of the box; keeps the nearest."""
     along, across = box.cos * dx + box.sin * dy, box.cos * dy - box.sin * dx
@@ -205,7 +205,7 @@ def _measure_cell(box: _Box, dx: float, dy: float, half: float, distances: Float
         distances[direction, 3] = -sign * along - box.by_yaw_cell
 
 
-@njit_no_refcount
+@njit_inner
 def _measure_corner(
     box: _Box, corner: int, gap_x: float, gap_y: float, distances: FloatArray
 ) -> None:
@@ -221,7 +221,7 @@ def _measure_corner(
     distances[direction, 3] = (gap_x * y - gap_y * x) / length
 
 
-@njit_no_refcount
+@njit_inner
 def _measure_on_map_axis(box: _Box, direction: int, gap: float, distances: FloatArray) -> None:
     sign = -1.0 if direction % 2 == 0 else 1.0
     distances[direction, 0] = gap
@@ -289,7 +289,7 @@ def new_workspace(lattice: Lattice, steps: int, edges: int) -> Workspace:
 # the loop over the steps costs more than the work on it.
 
 
-@njit_no_refcount
+@njit_inner
 def evaluate_constraints(
     problem: RefinementProblem, workspace: Workspace, poses: FloatArray, first_outward: float
 ) -> None:
@@ -313,27 +313,29 @@ def evaluate_constraints(
         x, y, yaw = pair_pose_of(poses[i], poses[i + 1])
         at_pair = first_body if i == 0 else body
         near = distances_to_blocked(terrain, x, y, yaw, at_pair, _RANGE_M, distances)
-        _set_distances(i, PAIR, near, distances, (0.5, 0.5, 0.0, 0.0), value, gradient, active)
+        _set_distances(i, int(PAIR), near, distances, (0.5, 0.5, 0.0, 0.0), value, gradient, active)
         if i == len(value) - 1:
             break  # this foot stands where the goal wants it
         x, y, yaw = poses[i + 1, 0], poses[i + 1, 1], poses[i + 1, 2]
         near = distances_to_blocked(terrain, x, y, yaw, foot, _RANGE_M, distances)
-        _set_distances(i, FOOT, near, distances, (0.0, 1.0, 0.0, 0.0), value, gradient, active)
+        _set_distances(i, int(FOOT), near, distances, (0.0, 1.0, 0.0, 0.0), value, gradient, active)
         inward_x = half_stance_m * outward * math.sin(yaw)
         inward_y = -half_stance_m * outward * math.cos(yaw)
         near = distances_to_blocked(
             terrain, x + inward_x, y + inward_y, yaw, body, _RANGE_M, distances
         )
         _set_distances(
-            i, BODY, near, distances, (0.0, 1.0, -inward_y, inward_x), value, gradient, active
+            i, int(BODY), near, distances, (0.0, 1.0, -inward_y, inward_x), value, gradient, active
         )
         if not is_flat:
             near = distances_to_level_edge(terrain, x, y, yaw, tread, level_um, _RANGE_M, distances)
-            _set_distances(i, TREAD, near, distances, (0.0, 1.0, 0.0, 0.0), value, gradient, active)
+            _set_distances(
+                i, int(TREAD), near, distances, (0.0, 1.0, 0.0, 0.0), value, gradient, active
+            )
         outward = -outward
 
 
-@njit_no_refcount
+@njit_inner
 def _evaluate_step(poses: FloatArray, i: int, outward: float, step: FloatArray) -> None:
     """Fills step i of (N - 1, 3, 7): derivatives of x, y, yaw by both poses, and their values."""
     dx, dy = poses[i + 1, 0] - poses[i, 0], poses[i + 1, 1] - poses[i, 1]
@@ -348,7 +350,7 @@ def _evaluate_step(poses: FloatArray, i: int, outward: float, step: FloatArray) 
         step[i, 2, k] = outward * number
 
 
-@njit_no_refcount
+@njit_inner
 def _constrain_step(
     limits: FloatArray,
     sole: tuple[float, float],
@@ -376,7 +378,7 @@ def _constrain_step(
         gradient[i, GAP, k] = by_x * step[i, 0, k] + by_y * step[i, 1, k] + by_yaw * step[i, 2, k]
 
 
-@njit_no_refcount
+@njit_inner
 def _constrain_to_polygon(
     reach: FloatArray,
     i: int,
@@ -395,7 +397,7 @@ def _constrain_to_polygon(
             gradient[i, row, k] = -n_x * step[i, 0, k] - n_y * step[i, 1, k]
 
 
-@njit_no_refcount
+@njit_inner
 def _set_distances(
     i: int,
     first: int,
@@ -409,7 +411,8 @@ def _set_distances(
     """Takes the distances of a box as constraints of step i from row `first` on.
 
     moves: derivatives of the box's pose by the support's and by the swing foot's pose, and of x
-    and y of its centre by the swing foot's yaw.
+    and y of its centre by the swing foot's yaw. Give a constant `first` as `int(PAIR)`: numba
+    compiles a function anew for each literal.
     """
     support, swing, x_by_yaw, y_by_yaw = moves
     for direction in range(DIRECTIONS):
@@ -426,7 +429,7 @@ def _set_distances(
         )
 
 
-@njit_no_refcount
+@njit_inner
 def add_block(block: FloatArray, i: int, matrix: FloatArray, right: FloatArray) -> None:
     """Adds the block of step i to the system, without the rows and columns of fixed poses."""
     base, size = 3 * (i - 1), len(right)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain, box_free, point_clearance
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.lattice.lattice import (
     Lattice,
     clearance_cost,
@@ -88,14 +88,14 @@ def refinement_problem(
     )
 
 
-@njit_no_refcount
+@njit_inner
 def turn_between(yaw: float, other: float) -> float:
     """Angle from one heading to another in [-pi, pi)."""
     turn = other - yaw
     return turn - 2.0 * math.pi * math.floor(turn / (2.0 * math.pi) + 0.5)
 
 
-@njit_no_refcount
+@njit_inner
 def step_between(
     support: FloatArray, swing: FloatArray, outward: float
 ) -> tuple[float, float, float]:
@@ -106,7 +106,7 @@ def step_between(
     return cos * dx + sin * dy, outward * (cos * dy - sin * dx), outward * turn
 
 
-@njit_no_refcount
+@njit_inner
 def gap_axis(
     x: float, y: float, yaw: float, half_l: float, half_w: float
 ) -> tuple[float, float, float, float]:
@@ -138,7 +138,7 @@ def gap_axis(
     return best, d_x, d_y, d_yaw
 
 
-@njit_no_refcount
+@njit_inner
 def foot_pose_free(lattice: Lattice, pose: FloatArray, outward: float) -> bool:
     """Whether a foot may stand at a pose (3,): its box and the body's box over it are free."""
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
@@ -155,14 +155,14 @@ def foot_height_um(lattice: Lattice, pose: FloatArray) -> int:
     return 0 if len(lattice.node_um) == 0 else level_height_um(lattice, foot_at(pose))
 
 
-@njit_no_refcount
+@njit_inner
 def pair_pose_of(support: FloatArray, swing: FloatArray) -> tuple[float, float, float]:
     """Point midway between two feet (3,) and their mean heading."""
     yaw = support[2] + 0.5 * turn_between(support[2], swing[2])
     return 0.5 * (support[0] + swing[0]), 0.5 * (support[1] + swing[1]), yaw
 
 
-@njit_no_refcount
+@njit_inner
 def _within_limits(problem: RefinementProblem, x: float, y: float, yaw: float) -> bool:
     """Whether a step is within the limits and keeps the feet apart."""
     limits, reach, foot = problem.limits, problem.reach, problem.foot
@@ -213,7 +213,7 @@ def plan_cost_um(problem: RefinementProblem, poses: FloatArray, first_outward: f
     return total
 
 
-@njit_no_refcount
+@njit_inner
 def add(
     block: FloatArray, curvature: float, gradient: FloatArray, i: int, row: int, multiplier: float
 ) -> None:
@@ -225,7 +225,7 @@ def add(
             block[a, b] += curvature * along * gradient[i, row, b]
 
 
-@njit_no_refcount
+@njit_inner
 def add_step_cost(
     weights: Weights,
     i: int,
@@ -266,7 +266,7 @@ def add_step_cost(
     return cost_m + per_back * max(-x, 0.0)
 
 
-@njit_no_refcount
+@njit_inner
 def add_clearance_cost(
     terrain: Terrain,
     clearance: tuple[float, float, float],
@@ -299,7 +299,7 @@ def add_clearance_cost(
     return most_um / MICRO * min(max(short_m / (wanted_m - worst_m), 0.0), 1.0)
 
 
-@njit_no_refcount
+@njit_inner
 def _smooth(field: NDArray[np.float32], size: float, x: float, y: float) -> float:
     """Clearance at a point, linear between the centres of cells."""
     rows, cols = field.shape

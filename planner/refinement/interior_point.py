@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.refinement.constraints import (
     MARGIN_M,
@@ -76,14 +76,14 @@ def relax(
     return plan_cost_um(problem, best, first_outward)
 
 
-@njit_no_refcount
+@njit_inner
 def _copy(poses: FloatArray, to: FloatArray) -> None:
     # Assigned as a whole they would bring along, compiled, the text of an error on their shapes.
     for i in range(len(poses)):
         to[i, 0], to[i, 1], to[i, 2] = poses[i, 0], poses[i, 1], poses[i, 2]
 
 
-@njit_no_refcount
+@njit_inner
 def _build(
     problem: RefinementProblem,
     workspace: Workspace,
@@ -128,7 +128,7 @@ def _build(
     return worst, cost_m
 
 
-@njit_no_refcount
+@njit_inner
 def solve_banded(matrix: FloatArray, right: FloatArray) -> bool:
     """Solves the banded system in place by Cholesky's method; False if it is not definite."""
     size, band = matrix.shape
@@ -154,7 +154,7 @@ def solve_banded(matrix: FloatArray, right: FloatArray) -> bool:
     return True
 
 
-@njit_no_refcount
+@njit_inner
 def _advance(workspace: Workspace, poses: FloatArray, mu: float) -> float:
     """Takes the Newton step as far as allowed; returns the mean of slack times multiplier.
 

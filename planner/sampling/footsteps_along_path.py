@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import NO_GROUND_UM, box_free, point_clearance
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.lattice.lattice import (
     Int64s,
     Lattice,
@@ -125,7 +125,7 @@ def check_feet(
                 ok[i, side] = height_um[i, side] != NO_GROUND_UM
 
 
-@njit_no_refcount
+@njit_inner
 def _extra_cost(
     lattice: Lattice,
     support: FloatArray,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ompl import base, geometric, util
 
 from planner.collision import Terrain, box_free, point_clearance, radius_of
-from planner.compiled import njit_no_refcount
+from planner.compiled import njit_inner, njit_no_refcount
 from planner.lattice.steps import MICRO
 from planner.robot_model import RoundedBox, StepModel, rounded_box
 
@@ -102,7 +102,7 @@ def can_move(
         done = min(length, done + (_CHECK_M if uneven else max(room, _CHECK_M)))
 
 
-@njit_no_refcount
+@njit_inner
 def _height(terrain: Terrain, x: float, y: float) -> int:
     """Height of the floor in micrometres at a point; at the edge's cell off the map."""
     rows, cols = terrain.blocked.shape

@@ -10,7 +10,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.compiled import BITS, njit_arrays, njit_no_refcount, slot_of, take_slot, with_room
+from planner.compiled import (
+    BITS,
+    njit_arrays,
+    njit_inner,
+    njit_no_refcount,
+    slot_of,
+    take_slot,
+    with_room,
+)
 from planner.heuristics.heuristic import Heuristic, estimate
 from planner.lattice.goal_region import may_end_at
 from planner.lattice.lattice import (
@@ -77,7 +85,7 @@ def heuristic_shift_um(lattice: Lattice, heuristic: Heuristic, tree: Tree) -> in
     return shift
 
 
-@njit_no_refcount
+@njit_inner
 def edge_cost_um(lattice: Lattice, tree: Tree, node: int, to: int) -> int:
     """Cost of the tree's edge between two nodes; below 0 where it is not allowed."""
     row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
@@ -195,7 +203,7 @@ def remove_invalid(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> No
     return removed[:number]
 
 
-@njit_no_refcount
+@njit_inner
 def _is_still_reached(lattice: Lattice, tree: Tree, node: int, known: int) -> bool:
     """Whether the edge to a node is still allowed and costs no more.
 
@@ -261,7 +269,7 @@ def nodes_to_reopen(
     return found[:number]
 
 
-@njit_no_refcount
+@njit_inner
 def _can_lower_successor(lattice: Lattice, tree: Tree, node: int, cost_um: int) -> bool:
     """Whether an edge from a node would reach a free one that is unreached or costs more."""
     row = node % (2 * lattice.headings)

@@ -27,6 +27,8 @@ from planner.compiled import (
     first_not_below,
     next_block,
     njit_arrays,
+    njit_inner,
+    njit_inner_arrays,
     njit_no_refcount,
     slot_of,
     take_slot,
@@ -106,7 +108,7 @@ def new_bins(lattice: Lattice, expansions: int) -> StateBins:
     return StateBins(np.zeros(room, np.int64), np.zeros(room, np.int32), cells, headings)
 
 
-@njit_no_refcount
+@njit_inner
 def enters_bin(lattice: Lattice, bins: StateBins, node: int, heuristic_um: int) -> bool:
     """Whether a node is to be expanded, which its bin then remembers."""
     row, cell = node % (2 * lattice.headings), node // (2 * lattice.headings)
@@ -161,7 +163,7 @@ class Tree(NamedTuple):
         return int(self.scalars[EXPANSIONS])
 
 
-@njit_no_refcount
+@njit_inner
 def insert(tree: Tree, node: int, key_um: int) -> None:
     """Adds a node with key f to OPEN."""
     scalars = tree.scalars
@@ -171,9 +173,12 @@ def insert(tree: Tree, node: int, key_um: int) -> None:
     push_entry(tree, node, bucket)
 
 
-@njit_no_refcount
+@njit_inner
 def push_entry(tree: Tree, node: int, bucket: int) -> None:
-    """Adds an entry for a node to a bucket; `entry_node` must have room for it."""
+    """Adds an entry for a node to a bucket; `entry_node` must have room for it.
+
+    Give a constant as `int(INCONS)`: numba compiles a function anew for each literal.
+    """
     scalars = tree.scalars
     entry = scalars[SPARE] - 1
     if entry >= 0:
@@ -196,11 +201,11 @@ def insert_roots(tree: Tree, nodes: NDArray[np.int64], costs_um: NDArray[np.int6
         if old == 0 or cost < old:
             tree.cost_um[slot] = cost
             tree.parent[slot] = ROOT
-            push_entry(tree, node, INCONS)
+            push_entry(tree, node, int(INCONS))
             _note_plan(tree, node, cost)
 
 
-@njit_no_refcount
+@njit_inner
 def _note_plan(tree: Tree, node: int, cost_um: int) -> bool:
     """Notes the plan that ends at a node if that is a goal and the plan the best; whether it is."""
     scalars, goals = tree.scalars, tree.goals
@@ -214,7 +219,7 @@ def _note_plan(tree: Tree, node: int, cost_um: int) -> bool:
     return True
 
 
-@njit_no_refcount
+@njit_inner
 def _limit_um(scalars: NDArray[np.int64]) -> int:
     """States whose cost + heuristic is not below this are not kept."""
     return min(scalars[BEST_UM] + scalars[SLACK_UM], NO_COST)
@@ -237,7 +242,7 @@ def start_iteration(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon:
         entry = tree.head[bucket]
         tree.head[bucket] = -1
         while entry >= 0:
-            node = tree.entry_node[entry]
+            node: int = np.int64(tree.entry_node[entry])  # type: ignore[assignment]
             entry = tree.entry_next[entry]
             slot = slot_of(lattice.slots, node)
             stale = bucket < BUCKETS and tree.closed_in[slot] == scalars[ITERATION] - 1
@@ -314,7 +319,7 @@ def expand(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, b
         cursor = scalars[CURSOR]
 
 
-@njit_arrays
+@njit_inner_arrays
 def _double_width(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float) -> None:
     """Doubles the buckets' width once only the last one is in use, which has no upper edge.
 
@@ -340,10 +345,10 @@ def _double_width(lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: f
             value = estimate(lattice, heuristic, nodes[i])
             insert(tree, nodes[i], tree.cost_um[slot] + int(epsilon * value))
     for i in range(ends[2] - 1, ends[1] - 1, -1):
-        push_entry(tree, nodes[i], INCONS)
+        push_entry(tree, nodes[i], int(INCONS))
 
 
-@njit_no_refcount
+@njit_inner
 def _expand_node(
     lattice: Lattice, heuristic: Heuristic, tree: Tree, epsilon: float, node: int, slot: int
 ) -> bool:
@@ -446,5 +451,5 @@ def _expand_node(
             closed_in[at] = 0
             insert(tree, to, cost + value)
         else:
-            push_entry(tree, to, INCONS)
+            push_entry(tree, to, int(INCONS))
     return improved

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.compiled import BITS, njit_no_refcount, slot_of
+from planner.compiled import BITS, njit_no_refcount, slots_of
 from planner.heuristics.heuristic import Heuristic, estimate, simpler_heuristic
 from planner.lattice.goal_region import may_end_at
 from planner.lattice.lattice import Lattice
@@ -74,10 +74,11 @@ def soon_found(request: Request, without: Result) -> Result:
 
 
 def _with_steps(request: Request, tree: Tree, node: int, without: Result) -> Result:
+    at = slots_of(tree.slots, np.array([node]))[0]
     found = result_of(
         request,
         trace(tree, node),
-        cost_um=int(tree.cost_um[slot_of(tree.slots, node)]) + final_cost_um(request.model),
+        cost_um=int(tree.cost_um[at]) + final_cost_um(request.model),
         epsilon=math.inf,
         expansions=without.expansions,
         time_to_first_s=0.0,

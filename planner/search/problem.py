@@ -29,7 +29,7 @@ from planner.heuristics.heuristic import (
 )
 from planner.heuristics.turning import straight_cost
 from planner.lattice.first_steps import first_steps
-from planner.lattice.goal_region import POINT, GoalRegion, beside, ends_in, height_beside
+from planner.lattice.goal_region import POINT, GoalRegion, ends_in, last_foot
 from planner.lattice.lattice import Int64s, Lattice, node_poses, reversed_steps
 from planner.lattice.map_change import change_between, over
 from planner.lattice.steps import MICRO, final_cost_um
@@ -395,15 +395,15 @@ def result_of(
     """The plan whose steps are the nodes (N - 1,) and then the other foot beside the last."""
     lattice, last = request.lattice, int(nodes[-1])
     side = (nodes & 1).astype(np.int8)
-    poses = node_poses(lattice, nodes)
+    poses, (x, y, last_um) = node_poses(lattice, nodes), last_foot(lattice, last)
     height_um = np.zeros(len(nodes))
     if len(lattice.node_um):
         height_um = lattice.node_um[slots_of(lattice.slots, nodes)].astype(np.float64)
     return Result(
         status=PlanStatus.FOUND,
         side=np.append(side, 1 - side[-1]),
-        pose_lattice=np.vstack([poses, (*beside(lattice, last)[:2], poses[-1, 2])]),
-        z_m=np.append(height_um, height_beside(lattice, last)) / MICRO,
+        pose_lattice=np.vstack([poses, (x, y, poses[-1, 2])]),
+        z_m=np.append(height_um, last_um) / MICRO,
         cost_m=cost_um / MICRO,
         epsilon=epsilon,
         expansions=expansions,
