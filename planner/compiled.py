@@ -12,7 +12,9 @@ from typing import Any, NamedTuple, NoReturn, TypeVar
 import numpy as np
 from numba import config, njit
 from numba.core import event
+from numba.core.caching import FunctionCache
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime.nrt import rtsys
 from numpy.typing import DTypeLike, NDArray
 
 from planner.cache import cache_folder
@@ -56,6 +58,24 @@ def njit_inner_arrays(function: _Function) -> _Function:
     return _inner(_compiled(function, _nrt=True, no_cpython_wrapper=True))
 
 
+class _Cache(FunctionCache):
+    """A cache that gives compiled functions back without all that compiling needs.
+
+    numba by itself first loads how every function of Python and numpy is compiled, which takes
+    0.15 s and 10 MB. Where something has to be compiled after all it does so then.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(target_context)  # what arrays in compiled code need
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
+_HAS_QUICK_CACHE = all(
+    hasattr(FunctionCache, name) for name in ("_guard_against_spurious_io_errors", "_load_overload")
+)  # these are numba's own business: it may come to do without
+
+
 class _Inner(CPUDispatcher):
     """A compiled function without an entry for Python, where numba would call address 0."""
 
@@ -85,6 +105,8 @@ def _compiled(function: _Function, **options: bool) -> _Function:
         compiled: Any = jit(function)
     finally:
         _config.CACHE_DIR = before
+    if _HAS_QUICK_CACHE and type(getattr(compiled, "_cache", None)) is FunctionCache:
+        compiled._cache.__class__ = _Cache
     FUNCTIONS.append(compiled)
     return compiled
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import mmap
+import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -182,6 +184,25 @@ def test_a_lean_function_that_makes_an_array_is_refused():
 
 def test_a_lean_function_may_call_one_that_makes_arrays():
     assert _calls_one_that_does(3) == 4
+
+
+LOOK_UP = """
+import sys
+import numpy as np
+from planner.compiled import slots_for, slots_of
+
+slots_of(slots_for(10), np.arange(3))
+print("numba.np.linalg" in sys.modules)
+"""
+
+
+def test_what_compiling_needs_is_loaded_for_compiling_alone(tmp_path):
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    told = [
+        subprocess.check_output([sys.executable, "-c", LOOK_UP], env=environment, text=True)
+        for _ in range(2)
+    ]
+    assert [line.strip() for line in told] == ["True", "False"]
 
 
 def test_compiling_is_timed_once_for_a_function_and_what_it_calls():
