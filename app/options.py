@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, Optional, TypeVar
 
 import tyro
 
@@ -57,6 +57,10 @@ class Reach(NamedTuple):
 
     m: float
     rad: float
+
+
+class Poses(tuple[Pose, ...]):
+    """Poses in the order in which they are come to."""
 
 
 class Size(NamedTuple):
@@ -218,24 +222,25 @@ def _one_of(names: Sequence[str], word: str) -> str:
     return word
 
 
+# Types are spelled so that tyro can tell by itself whether a default is of its type. For `X | None`
+# and `tuple[X, ...]` it loads typeguard, which takes a tenth of the time of loading all of `plan`.
 _POSE = text("X,Y,YAW", parse_pose)
 PoseOption = Annotated[Pose, _POSE]
-OptionalPose = Annotated[Pose | None, _POSE]
+OptionalPose = Annotated[Optional[Pose], _POSE]  # noqa: UP045
 PosesOption = Annotated[
-    tuple[Pose, ...],
-    text("X,Y,YAW:X,Y,YAW...", lambda word: tuple(map(parse_pose, word.split(":")))),
+    Poses, text("X,Y,YAW:X,Y,YAW...", lambda word: Poses(map(parse_pose, word.split(":"))))
 ]
-OptionalInterval = Annotated[Interval | None, text("LOW,HIGH", parse_interval)]
+OptionalInterval = Annotated[Optional[Interval], text("LOW,HIGH", parse_interval)]  # noqa: UP045
 SizeOption = Annotated[Size, text("WIDTHxHEIGHT", parse_size)]
 ReachOption = Annotated[Reach, text("M,RAD", parse_reach)]
-OptionalLength = Annotated[float | None, number(above=0)]
+OptionalLength = Annotated[Optional[float], number(above=0)]  # noqa: UP045
 OptionalTime = OptionalLength
 _FILE, _FOLDER = text("FILE", Path), text("DIR", Path)
 FileOption = Annotated[Path, _FILE]
-OptionalFile = Annotated[Path | None, _FILE]
+OptionalFile = Annotated[Optional[Path], _FILE]  # noqa: UP045
 FolderOption = Annotated[Path, _FOLDER]
 FolderArgument = Annotated[Path, _FOLDER, tyro.conf.Positional]
-OptionalFolder = Annotated[Path | None, _FOLDER]
+OptionalFolder = Annotated[Optional[Path], _FOLDER]  # noqa: UP045
 RobotName = Annotated[str, text("NAME")]
 PaceOption = Annotated[str, choice(*PACES)]
 PushOption = Annotated[float, number(at_least=0.0)]

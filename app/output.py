@@ -11,14 +11,15 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from maps.files import written_whole
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
 
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp")
 LINE_EVERY_S = 5.0
@@ -241,9 +242,13 @@ class ProgressBar:
         self._line_every_s = line_every_s
         self._line_at_s, self._line = 0.0, ""
         self._bar: Progress | None = None
-        self._task = TaskID(0)
+        self._task: TaskID
 
     def __enter__(self) -> Self:
+        # Here and not above: a run in which nothing takes long need not wait for it.
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
         self._line_at_s = time.monotonic() + self._line_every_s
         console = Console(stderr=True)
         if console.is_terminal:

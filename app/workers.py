@@ -11,14 +11,15 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from app.cluster import on_cluster
 from app.output import InputError, ProgressBar, say
 from planner.options import PlannerOptions
 from planner.robot_model import StepModel
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -55,6 +56,9 @@ def in_order(
     if workers <= 1:
         yield from map(function, jobs)
         return
+    # Here and not above, as in `_worker_pool`: most commands need no processes.
+    from concurrent.futures.process import BrokenProcessPool
+
     try:
         with _worker_pool(workers) as pool:
             # Not pool.map, which cancels from this thread what its own is giving up.
@@ -73,6 +77,8 @@ def _worker_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
     They also end when this process is killed. What they are given must be importable there.
     """
+    from concurrent.futures import ProcessPoolExecutor
+
     others = set(multiprocessing.active_children())
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)

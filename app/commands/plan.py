@@ -13,6 +13,7 @@ from app.options import (
     OptionalFile,
     OptionalTime,
     PlanningOptions,
+    Poses,
     PosesOption,
     choice,
     find_robot_with_limits,
@@ -51,7 +52,7 @@ class PlanOptions(PlanningOptions, GoalOptions):
     step_model: OptionalFile = None
     """Plan for the feet, limits and costs in this file and no robot, such as nao.yaml."""
 
-    via: PosesOption = ()
+    via: PosesOption = Poses()
     """Poses to be on with both feet on the way, with colons between, such as 1,0,0:2,0,1.57."""
 
     out: OptionalFile = None

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from matplotlib.colors import ListedColormap, LogNorm
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from app.output import replacing
@@ -203,6 +201,10 @@ def write_search_picture(
     path: Path, grid: OccupancyGrid, plan: FootstepPlan, record: SearchRecord, cell_m: float
 ) -> None:
     """Draws a search over the map of its plan, and its cost over time, into an image file."""
+    # Here and not above: the other pictures need not wait for it.
+    from matplotlib.colors import ListedColormap, LogNorm
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(11, 5), layout="constrained")
     on_map, over_time = figure.subplots(1, 2, width_ratios=(3, 2))
     rows, cols = grid.cells.shape
