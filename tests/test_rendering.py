@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from app.navigation.placed import Placed
+from app.pictures import film
 from app.pictures.film import captioned, tile
 from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from app.pictures.rendering import (
@@ -277,6 +278,32 @@ def test_a_strip_shows_the_robot_in_every_tile_and_through_walls(drawn):
     for tile_at in range(0, 400, 100):
         # The camera follows: the robot is in the middle of each tile, also behind the wall.
         assert is_red(strip[30:50, tile_at + 40 : tile_at + 60]).mean() > 0.5
+
+
+@pytest.mark.parametrize("codec", ["h264", "vp9"])
+def test_a_film_shows_the_pictures_given_to_it(tmp_path, monkeypatch, capsys, codec):
+    import av
+
+    if codec == "vp9":
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    # Red on top; below blue that gives way to green from picture to picture.
+    pictures = np.zeros((8, 64, 96, 3), np.uint8)
+    pictures[:, :32, :, 0] = 255
+    for number, picture in enumerate(pictures):
+        picture[32:, : 12 * number, 1] = picture[32:, 12 * number :, 2] = 255
+    with film.encoder(tmp_path / "film.mp4", 96, 64, 10) as add:
+        for picture in pictures:
+            add(picture)
+    assert ("film" in capsys.readouterr().err) == (codec == "vp9")
+    with av.open(str(tmp_path / "film.mp4")) as container:
+        stream = container.streams.video[0]
+        assert stream.codec_context.name == codec
+        assert stream.average_rate == 10
+        shown = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+    assert len(shown) == len(pictures)
+    for picture, frame in zip(pictures, shown, strict=True):
+        # Half as many pixels have a colour of their own, and nothing is exact.
+        assert np.mean(np.abs(picture.astype(int) - frame)) < 12
 
 
 def test_a_film_has_the_frames_of_the_walk(drawn):

@@ -1,16 +1,18 @@
-"""A recorded walk as a film (H.264 in an MP4 file) and as a strip of moments (PNG)."""
+"""A recorded walk as a film (MP4) and as a strip of moments (PNG)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import importlib.util
+import os
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import av
 import cv2
 import numpy as np
 
-from app.output import ProgressBar, replacing, write_picture
+from app.output import InputError, ProgressBar, replacing, say, write_picture
 from app.pictures.canvas import INK, LEFT, RIGHT, Picture
 from app.pictures.rendering import (
     FOLLOW,
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 FRAMES_PER_S = 30
 WIDTH, HEIGHT = 1280, 720
+# What VP9 takes of speed over size (8 is fastest) and of loss (0 to 63), as FFmpeg names it.
+_VP9 = "deadline;realtime|cpu-used;8|crf;32"
 # Smaller films than this have no room for words.
 _LEAST_HEIGHT = 240
 
@@ -47,7 +51,8 @@ def write_film(
     """Writes the walk as a film that runs at the speed of the walk; returns the count of frames.
 
     It carries title, time and legend. Width and height are even numbers: H.264 takes no others.
-    `marks` are as in `drawing`.
+    `marks` are as in `drawing`. Where the extra `film` is missing the film is in VP9, and a line
+    says so.
 
     Raises:
         NoGlError: No GL library works here.
@@ -60,18 +65,64 @@ def write_film(
         drawing(model, shown, FOLLOW, width=width, height=height, marks=marks) as drawer,
         replacing(path) as temporary,
         ProgressBar("film", count) as bar,
-        av.open(str(temporary), "w", format="mp4") as film,
+        encoder(temporary, width, height, frames_per_s) as add,
     ):
+        for number, time_s in enumerate(shown.time_s):
+            add(captioned(drawer.draw(number), title, f"{time_s:.1f} s"))
+            bar.update(number + 1)
+    return count
+
+
+def encoder(
+    path: Path, width: int, height: int, frames_per_s: int
+) -> contextlib.AbstractContextManager[Callable[[Picture], object]]:
+    """Gives what adds a picture (H, W, 3), red green blue, to a film, which is whole on leaving.
+
+    H.264 plays everywhere and comes with PyAV, 0.1 GB, which few need. OpenCV is there anyway and
+    has VP9, which browsers play and some other players do not.
+    """
+    if importlib.util.find_spec("av") is not None:
+        return _h264(path, width, height, frames_per_s)
+    say(
+        "the film is in VP9, for browsers; the extra `film` is for H.264, which plays everywhere: "
+        "python -m pip install -e '.[film]'"
+    )
+    return _vp9(path, width, height, frames_per_s)
+
+
+@contextlib.contextmanager
+def _h264(
+    path: Path, width: int, height: int, frames_per_s: int
+) -> Iterator[Callable[[Picture], object]]:
+    import av
+
+    with av.open(str(path), "w", format="mp4") as film:
         stream = film.add_stream("libx264", rate=frames_per_s)
         stream.width, stream.height = width, height
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast", "crf": "22"}
-        for number, time_s in enumerate(shown.time_s):
-            picture = captioned(drawer.draw(number), title, f"{time_s:.1f} s")
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
-            bar.update(number + 1)
+        yield lambda picture: film.mux(
+            stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24"))
+        )
         film.mux(stream.encode())
-    return count
+
+
+@contextlib.contextmanager
+def _vp9(
+    path: Path, width: int, height: int, frames_per_s: int
+) -> Iterator[Callable[[Picture], object]]:
+    # OpenCV reads the options of an encoder from here alone.
+    os.environ.setdefault("OPENCV_FFMPEG_WRITER_OPTIONS", _VP9)
+    codec = cv2.VideoWriter.fourcc(*"vp09")
+    film = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, frames_per_s, (width, height))
+    if not film.isOpened():
+        raise InputError(
+            "this OpenCV writes no films; the extra `film` does: python -m pip install -e '.[film]'"
+        )
+    try:
+        yield lambda picture: film.write(np.ascontiguousarray(picture[:, :, ::-1]))
+    finally:
+        film.release()
 
 
 def captioned(picture: Picture, title: str, time: str) -> Picture:
