@@ -9,7 +9,7 @@ import pytest
 
 from maps.grid import Cell
 from planner.collision import terrain_of
-from planner.heuristics import wavefront
+from planner.heuristics import wavefront as wavefronts
 from planner.heuristics.distance_field import lazy_path_costs, path_costs
 from planner.heuristics.heuristic import estimates, tables_of
 from planner.heuristics.potential import MOVES
@@ -40,7 +40,7 @@ from tests.planner_floor import (
 )
 from tests.planner_oracle import small_model
 
-straight_um = from_python(wavefront.straight_um)
+straight_um = from_python(wavefronts.straight_um)
 
 MODEL = small_model()
 TABLES = tables_of(MODEL)
