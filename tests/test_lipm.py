@@ -384,7 +384,16 @@ def test_pushed_from_the_left_it_moves_as_the_mirror_image_of_pushed_from_the_ri
 
 @pytest.mark.slow
 def test_it_walks_by_what_it_measures(tmp_path):
-    words = ["--map", ROOM, "--goal", "0.6,0.1,0.3", "--localization", "10", "--out", str(tmp_path)]
+    words = [
+        "--map",
+        ROOM,
+        "--goal",
+        "0.45,0.1,0.3",
+        "--localization",
+        "10",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(["navigate", "--controller", "lipm", "--sensed", *words]) == 0
     report = NavigationReport.from_json((tmp_path / "report.json").read_text())
     assert report.controller is not None

@@ -14,25 +14,25 @@ from planner.heuristics.distance_field import path_costs_to_goal
 from planner.heuristics.heuristic import full_heuristic, tables_of
 from planner.lattice import lattice
 from planner.lattice.lattice import COST_UM, D_NODE, build_lattice, node_free
-from planner.search import ad_star_tree, best_first
+from planner.search import ad_star_tree, state_bins
 from planner.search.best_first import (
     BASE_UM,
     BUCKETS,
     SHIFT,
     expand,
     insert_roots,
-    new_bins,
     start_iteration,
 )
 from planner.search.problem import new_tree
 from planner.search.reachability import BACKWARD, FORWARD, flood
+from planner.search.state_bins import new_bins
 from tests.compiled import from_python
 from tests.planner_floor import CLIMBING, STAIRS, fine_model, scatter, walled
 
 estimate = from_python(heuristic.estimate)
 decoded = from_python(lattice.decoded)
 edge_cost_um = from_python(ad_star_tree.edge_cost_um)
-enters_bin = from_python(best_first.enters_bin)
+enters_bin = from_python(state_bins.enters_bin)
 
 GOAL = (1.3, 1.2, 0.4)
 ROOT_UM = 5_000_000

@@ -15,9 +15,9 @@ from planner.heuristics.turning import SECTORS
 from planner.options import PlannerOptions
 from planner.plan import PlanStatus, pair_pose
 from planner.planner import Planner, plan_footsteps, plan_through
-from planner.search import best_first
+from planner.search import state_bins
 from planner.search.ara_star import coarse_model, nodes_on_fine
-from planner.search.best_first import new_bins
+from planner.search.state_bins import new_bins
 from planner.verify import violations
 from sim.robots import get_robot
 from tests.compiled import from_python
@@ -33,7 +33,7 @@ from tests.planner_floor import (
 )
 from tests.planner_oracle import lattice_node, small_model
 
-enters_bin = from_python(best_first.enters_bin)
+enters_bin = from_python(state_bins.enters_bin)
 
 MODEL = get_robot("jvrc1").step_model
 

@@ -24,13 +24,12 @@ from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
 from planner.options import PlannerOptions
 from planner.search.best_first import (
-    NO_BINS,
     NO_COST,
-    new_bins,
     start_iteration,
 )
 from planner.search.problem import Request, SearchTask, best_nodes, expand_up_to
 from planner.search.shut_passages import shut_passages
+from planner.search.state_bins import NO_BINS, new_bins
 from planner.time_limit import OutOfTime
 
 # Weights on the heuristic, most expansions with each, and whether states are binned.

@@ -40,7 +40,6 @@ from planner.search.best_first import (
     BEST_NODE,
     BEST_UM,
     BUCKETS,
-    NO_BINS,
     NO_COST,
     OUT_OF_BUDGET,
     ROOT,
@@ -50,6 +49,7 @@ from planner.search.best_first import (
     insert_roots,
 )
 from planner.search.search_record import SearchRecord
+from planner.search.state_bins import NO_BINS
 from planner.time_limit import check_time
 
 FloatArray = NDArray[np.float64]
