@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
-import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
 
 FRAMES_PER_S = 30
 WIDTH, HEIGHT = 1280, 720
-# What VP9 takes of speed over size (8 is fastest) and of loss (0 to 63), as FFmpeg names it.
-_VP9 = "deadline;realtime|cpu-used;8|crf;32"
 # Smaller films than this have no room for words.
 _LEAST_HEIGHT = 240
 
@@ -79,7 +76,7 @@ def encoder(
     """Gives what adds a picture (H, W, 3), red green blue, to a film, which is whole on leaving.
 
     H.264 plays everywhere and comes with PyAV, 0.1 GB, which few need. OpenCV is there anyway and
-    has VP9, which browsers play and some other players do not.
+    has VP9, which browsers play and some other players do not, and which takes some 0.1 s a frame.
     """
     if importlib.util.find_spec("av") is not None:
         return _h264(path, width, height, frames_per_s)
@@ -111,8 +108,6 @@ def _h264(
 def _vp9(
     path: Path, width: int, height: int, frames_per_s: int
 ) -> Iterator[Callable[[Picture], object]]:
-    # OpenCV reads the options of an encoder from here alone.
-    os.environ.setdefault("OPENCV_FFMPEG_WRITER_OPTIONS", _VP9)
     codec = cv2.VideoWriter.fourcc(*"vp09")
     film = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, codec, frames_per_s, (width, height))
     if not film.isOpened():
