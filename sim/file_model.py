@@ -12,7 +12,7 @@ import numpy as np
 
 from maps.yaml_files import YamlFileError
 from sim.robot import LEFT_LEG_BITS, RIGHT_LEG_BITS, UPPER_BODY_BITS
-from sim.solids import VISUAL, Rod, Solid, Vector, add_shape, add_sole, fix_joint
+from sim.solids import Rod, Solid, Vector, add_mesh, add_shape, add_sole, fix_joint
 
 if TYPE_CHECKING:
     import mujoco
@@ -112,8 +112,6 @@ class FileModel:
 
     def add_meshes(self, spec: mujoco.MjSpec) -> None:
         """Adds the visual meshes to a spec made by `build`; warns where they are missing."""
-        import mujoco
-
         from sim.source_model import SourceError, read_source, source_path
 
         assert self.meshes is not None
@@ -132,16 +130,7 @@ class FileModel:
             name = ours.get(shape.body, shape.body)
             if not shape.is_visual or name not in names:
                 continue
-            mesh = spec.add_mesh(
-                name=f"{name}_{len(spec.meshes)}",
-                uservert=np.asarray(shape.vertices, np.float32).ravel(),
-                userface=np.asarray(shape.faces, np.int32).ravel(),
-                # A sheet of metal has no inside, and MuJoCo is to ask for none.
-                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-            )
-            spec.body(name).add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, rgba=shape.rgba, **VISUAL
-            )
+            add_mesh(spec, spec.body(name), shape.vertices, shape.faces, shape.rgba)
 
     def _add_sole(
         self,

@@ -192,6 +192,31 @@ def add_look(spec: mujoco.MjSpec, body: mujoco.MjsBody, solid: Solid, rgba: Colo
     body.add_geom(rgba=rgba, **shape, **VISUAL)
 
 
+def add_mesh(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    rgba: Colour,
+    **placed: Any,
+) -> None:
+    """Adds triangles to the body as a visual, without mass and contacts.
+
+    vertices (N, 3) in m, faces (M, 3) of their indices; `placed` are `pos` and `quat` in the body.
+    """
+    import mujoco
+
+    mesh = spec.add_mesh(
+        name=f"mesh_{len(spec.meshes)}",
+        uservert=np.asarray(vertices, np.float32).ravel(),
+        userface=np.asarray(faces, np.int32).ravel(),
+        # A sheet of metal has no inside, and MuJoCo is to ask for none.
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    kind = mujoco.mjtGeom.mjGEOM_MESH
+    body.add_geom(type=kind, meshname=mesh.name, rgba=rgba, **placed, **VISUAL)
+
+
 def add_urdf_meshes(
     spec: mujoco.MjSpec,
     urdf_path: str | Path,
@@ -221,26 +246,20 @@ def add_urdf_meshes(
             shape: Any = trimesh.load(Path(meshes_path) / Path(source.attrib["filename"]).name)
             if isinstance(shape, trimesh.Scene):
                 shape = shape.to_geometry()  # in metres
-            mesh = spec.add_mesh(
-                name=f"{name}_{len(spec.meshes)}",
-                uservert=np.asarray(shape.vertices, np.float32).ravel(),
-                userface=np.asarray(shape.faces, np.int32).ravel(),
-                # A sheet of metal has no inside, and MuJoCo is to ask for none.
-                inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
-            )
             origin = visual.find("origin")
             at = {} if origin is None else origin.attrib
             quat = np.empty(4)
             # URDF's roll, pitch, yaw are about the fixed axes x, y, z.
             rpy = np.array(at.get("rpy", "0 0 0").split(), float)
             mujoco.mju_euler2Quat(quat, rpy, "XYZ")
-            spec.body(renamed.get(name, name)).add_geom(
-                type=mujoco.mjtGeom.mjGEOM_MESH,
-                meshname=mesh.name,
-                rgba=accents.get(name, _LIGHT),
+            add_mesh(
+                spec,
+                spec.body(renamed.get(name, name)),
+                shape.vertices,
+                shape.faces,
+                accents.get(name, _LIGHT),
                 pos=np.array(at.get("xyz", "0 0 0").split(), float),
                 quat=quat,
-                **VISUAL,
             )
 
 

@@ -186,3 +186,25 @@ def test_a_robot_with_passive_joints_cannot_go_by_its_legs():
     with pytest.raises(InputError, match="nothing measures its passive joints"):
         TrialsOptions(map=Path("maps/room.png"), robot="cassie", sensed=True).load()
     TrialsOptions(map=Path("maps/room.png"), sensed=True).load()
+
+
+@ROBOTS
+def test_meshes_are_mirror_images_and_end_at_the_floor(robot):
+    """Left and right of the middle plane; the lowest point of the feet is the sole's."""
+    scene = build_scene(robot, timestep_s=0.001, visuals=True)
+    model, data = scene.model, state_at(scene, scene.standing_qpos)
+    sides = {"left": [], "right": []}
+    for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
+        side = model.body(model.geom_bodyid[geom]).name.split("_")[0]
+        mesh = model.mesh(model.geom_dataid[geom])
+        vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+        turn = data.geom_xmat[geom].reshape(3, 3)
+        if side in sides:
+            sides[side].append(vertices @ turn.T + data.geom_xpos[geom])
+    left, right = (np.concatenate(parts) for parts in sides.values())
+    assert len(left) > 3000
+    # MuJoCo turns each mesh to its principal axes, so vertices differ by rounding.
+    np.testing.assert_allclose(right * [1, -1, 1], left, atol=1e-4)
+    assert abs(left[:, 2].min()) < 0.01
+    # Nothing is added to what moves.
+    assert model.body_mass.sum() == pytest.approx(33.312, abs=1e-6)

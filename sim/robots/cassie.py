@@ -11,6 +11,7 @@ MENAGERIE  google-deepmind/mujoco_menagerie at 1b428b08, agility_cassie/cassie.x
            rotors, springs, loops, motors and collision shapes. Numbers alone, of the left leg; the
            right one is its exact mirror image, there but for 0.1 mm at the hip roll.
 APEX       osudrl/apex at 82c44af, cassie/cassie.py: half-sitting.
+GAZEBO     DAIRLab/cassie-gazebo-sim, ISC licence, Copyright (c) 2018 Agility Robotics: meshes.
 DERIVED    Computed from these with MuJoCo: passive joints in half-sitting, height.
 ESTIMATED  Ours, as said there: servo gains, step model, looks.
 """
@@ -20,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -35,7 +37,7 @@ from sim.robot import (
     RobotStepModel,
     both_legs,
 )
-from sim.solids import Ellipsoid, Rod, Vector, add_look, add_shape, capsule, set_mass
+from sim.solids import Ellipsoid, Rod, Vector, add_mesh, add_shape, capsule, set_mass
 
 if TYPE_CHECKING:
     import mujoco
@@ -190,14 +192,12 @@ _LEG_SHAPES: dict[str, dict[str, Rod]] = {
     "foot": {"foot": _SOLE},
 }
 # fmt: on
-# What is seen besides: the rods. Thickness and colours are ESTIMATED.
+# What is seen: docs/make/cassie_meshes.py. Colours are ESTIMATED; what is not named is dark.
+MESHES = Path(__file__).with_name("cassie_meshes.npz")
 _LIGHT, _DARK, _STEEL = (0.88, 0.87, 0.84, 1.0), (0.20, 0.21, 0.24, 1.0), (0.62, 0.64, 0.67, 1.0)
-_COLOURS = {"thigh": _LIGHT, "shin_spring": _STEEL, "foot": (0.07, 0.08, 0.09, 1.0)}
-_RODS = {
-    "achilles_rod": capsule((0, 0, 0), (0.5012, 0, 0), 0.012),
-    "heel_spring": capsule((0, 0, 0), (0.119, -0.009, -0.002), 0.008),
-    "foot_crank": capsule((0, 0, -0.008), (0.055, 0, -0.008), 0.010),
-    "plantar_rod": capsule((0, 0, 0), (0.35012, 0, 0), 0.006),
+_COLOURS = {
+    **dict.fromkeys(("pelvis", "hip_pitch"), _LIGHT),
+    **dict.fromkeys(("achilles_rod", "plantar_rod", "knee_spring", "heel_spring"), _STEEL),
 }
 # MENAGERIE's capsule: 16 cm from centre to centre of its caps.
 FOOT = FootShape(length_m=0.20, width_m=0.04)
@@ -352,20 +352,21 @@ def build() -> mujoco.MjSpec:
     return spec
 
 
-def add_looks(spec: mujoco.MjSpec) -> None:
-    """Dresses the model in its collision shapes and its rods, for pictures."""
-    for shape in _PELVIS_SHAPES.values():
-        add_look(spec, spec.body("pelvis"), shape, _LIGHT)
-    for side in ("left", "right"):
-        for link, shapes in _LEG_SHAPES.items():
-            for name, rod in shapes.items():
-                look = _on_side(rod, link, side)
-                add_look(spec, spec.body(_body(side, link)), look, _COLOURS.get(name, _DARK))
-        for link, rod in _RODS.items():
-            # The rigid model has none.
-            if spec.body(_body(side, link)) is not None:
-                look = _on_side(rod, link, side)
-                add_look(spec, spec.body(_body(side, link)), look, _STEEL)
+def add_meshes(spec: mujoco.MjSpec) -> None:
+    """Dresses the model, or the one without rods, in the meshes of the real robot."""
+    with np.load(MESHES) as meshes:
+        for link in ("pelvis", *(link.name for link in _LINKS)):
+            vertices, faces = meshes[f"{link}_vertices"], meshes[f"{link}_faces"]
+            colour = _COLOURS.get(link, _DARK)
+            if link == "pelvis":
+                add_mesh(spec, spec.body(link), vertices, faces, colour)
+                continue
+            for side in ("left", "right"):
+                body = spec.body(_body(side, link))
+                if body is not None and side == "left":
+                    add_mesh(spec, body, vertices, faces, colour)
+                elif body is not None:  # triangles of a mirror image turn the other way round
+                    add_mesh(spec, body, vertices * _mirror(link), faces[:, ::-1], colour)
 
 
 def passive_joints(names: Collection[str]) -> tuple[PassiveJoint, ...]:
@@ -427,6 +428,6 @@ ROBOT = Robot(
     longest_timestep_s=0.0025,
     trained_as="cassie-rigid",
     build=build,
-    add_meshes=add_looks,
+    add_meshes=add_meshes,
     training_limits=LIMITS,
 )
