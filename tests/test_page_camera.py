@@ -13,12 +13,17 @@ from app.viewer.camera import (
     FOLLOW_HEIGHT_M,
     HANDS_OFF_S,
     Follower,
+    Met,
     Sight,
+    behind,
     centred,
     from_above,
-    from_behind,
     overview,
+    towards,
 )
+from app.viewer.obstacles import Obstacle
+from app.viewer.pointer import Surface, surface_of
+from maps.map_files import load_map
 from tests.scenes import HALL
 
 FRAME_S = 1 / 30
@@ -68,9 +73,23 @@ def test_from_above_the_map_is_seen_as_a_plan_is_drawn(aspect):
     assert places[0, 1] == pytest.approx(places[1, 1], abs=1e-6)
 
 
+def nothing(_origin: object, _direction: object) -> None:
+    """What a ray meets where there is nothing."""
+
+
+def shows_feet(sight: Sight, robot_m: np.ndarray, surface: Surface) -> bool:
+    """Whether nothing rises above the line from the camera to just above the ground at a robot."""
+    foot_m = robot_m + np.array([0.0, 0.0, 0.05])
+    for share in np.linspace(0.0, 0.99, 800):
+        point_m = sight.position_m + share * (foot_m - sight.position_m)
+        if point_m[2] < surface.height_m(point_m) - 1e-9:
+            return False
+    return True
+
+
 def test_from_behind_one_looks_along_with_the_robot():
     robot_m, yaw_rad = np.array([1.0, 2.0, 0.1]), 2.0
-    sight = from_behind(robot_m, yaw_rad, LANDSCAPE)
+    sight = towards(robot_m, behind(yaw_rad), FOLLOW_DISTANCE_M, LANDSCAPE, nothing)
     middle_m = robot_m + np.array([0.0, 0.0, FOLLOW_HEIGHT_M])
     assert seen_at(sight, middle_m, LANDSCAPE) == pytest.approx((-0.22, 0), abs=1e-9)
     assert math.atan2(sight.forward[1], sight.forward[0]) == pytest.approx(yaw_rad)
@@ -78,12 +97,37 @@ def test_from_behind_one_looks_along_with_the_robot():
     assert sight.distance_m == pytest.approx(FOLLOW_DISTANCE_M)
 
 
+@pytest.mark.parametrize("aspect", [LANDSCAPE, PHONE])
+@pytest.mark.parametrize("name", ["room.png", "stairs.yaml"])
+def test_the_feet_are_seen_from_behind_over_walls_and_only_then_more_steeply(name, aspect):
+    grid = load_map(f"maps/{name}")
+    surface, rng = surface_of(grid), np.random.default_rng(4)
+    x0, y0, x1, y1 = grid.bounds_world()
+    steeper = 0
+    for _ in range(60):
+        place, yaw_rad = rng.uniform((x0, y0), (x1, y1)), rng.uniform(-math.pi, math.pi)
+        turns_rad = np.arange(16) * (math.pi / 8)
+        around = place + 0.25 * np.column_stack([np.cos(turns_rad), np.sin(turns_rad)])
+        ground_m = float(grid.height_m(place))
+        if any(surface.height_m(point) > ground_m + 0.5 for point in around):
+            continue  # No robot stands in a wall.
+        robot_m, forward = np.array([*place, ground_m]), behind(yaw_rad)
+        sight = towards(robot_m, forward, 4.5, aspect, surface.met)
+        assert shows_feet(sight, robot_m, surface)
+        ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
+        assert sight.forward[:2] / np.linalg.norm(sight.forward[:2]) == pytest.approx(ahead)
+        if sight.forward != pytest.approx(forward):
+            steeper += 1
+            assert sight.forward[2] < forward[2]
+    assert 0 < steeper < 60
+
+
 def test_a_view_that_is_chosen_stays_though_the_page_says_the_old_one_yet():
     old = overview(HALL, LANDSCAPE)
-    follower, robot_m = Follower(old, LANDSCAPE, 0.0), np.zeros(3)
-    follower.jump(from_behind(robot_m, 0.0, LANDSCAPE))
+    follower, robot_m = Follower(old, LANDSCAPE, 0.0, nothing), np.zeros(3)
+    follower.jump(robot_m, behind(0.0), LANDSCAPE)
     told = follower.next(old, robot_m, LANDSCAPE, FRAME_S)
-    assert told is None or told.forward == pytest.approx(from_behind(robot_m, 0, 1.5).forward)
+    assert told is None or told.forward == pytest.approx(behind(0.0))
 
 
 def test_straight_down_is_a_way_to_look():
@@ -94,11 +138,11 @@ def test_straight_down_is_a_way_to_look():
 class Watched:
     """A page that does what its camera is told, `late` frames later; the robot stands or walks."""
 
-    def __init__(self, late: int = 0) -> None:
+    def __init__(self, late: int = 0, met: Met = nothing) -> None:
         self.now_s, self.robot_m = 0.0, np.zeros(3)
         self.told = [overview(HALL, LANDSCAPE)]
         self.late = late
-        self.follower = Follower(self.told[0], LANDSCAPE, self.now_s)
+        self.follower = Follower(self.told[0], LANDSCAPE, self.now_s, met)
 
     @property
     def seen(self) -> Sight:
@@ -157,3 +201,19 @@ def test_it_waits_while_the_pointer_drags_something():
     watched.follower.hold(watched.now_s)
     assert watched.frames(5, speed_m_s=0.3) == [None] * 5
     assert any(watched.frames(60, speed_m_s=0.3))
+
+
+def test_while_it_follows_it_looks_over_a_box_and_then_comes_down_again():
+    # In metres of the grid frame; in the world its middle is at -0.7, 0, behind the robot at 0, 0.
+    box = Obstacle(number=0, x_m=1.3, y_m=3.0, size_x_m=0.4, size_y_m=1.5)
+    surface = surface_of(HALL).with_boxes([box])
+    watched = Watched(met=surface.met)
+    watched.told.append(watched.follower.jump(watched.robot_m, behind(0.0), LANDSCAPE))
+    hidden = downs = 0
+    for _ in range(500):
+        watched.frames(1, speed_m_s=0.3)
+        hidden += not shows_feet(watched.told[-1], watched.robot_m, surface)
+        downs = max(downs, -watched.told[-1].forward[2])
+    assert downs > 0.5
+    assert hidden < 30
+    assert watched.told[-1].forward == pytest.approx(behind(0.0), abs=1e-2)

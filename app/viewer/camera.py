@@ -6,14 +6,20 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import viser
+from numpy.typing import ArrayLike
 
 from app.viewer.html_page import PHONE_SHARE
+from app.viewer.pointer import SurfaceHit
 from maps.grid import OccupancyGrid
+
+# What a ray from a point (3,) along a direction (3,) meets first: floor, wall or box.
+Met = Callable[[ArrayLike, ArrayLike], SurfaceHit | None]
 
 FIELD_OF_VIEW_RAD = math.radians(50)
 # The panel is at the bottom of a phone, over this share of the window at most.
@@ -29,12 +35,16 @@ FOLLOW_DISTANCE_M = 4.5
 _PHONE_DISTANCE_M = 5.5
 FOLLOW_HEIGHT_M = 0.8
 _BEHIND_RAD = math.radians(20)
+# Where walls hide the feet it looks down more steeply, in steps, and no more than this.
+_STEEPEST_RAD, _STEEPER_RAD = math.radians(80), math.radians(3)
+# The feet: so far to the sides as the camera sees them, so far above the ground.
+_FEET_ASIDE_M, _FEET_HEIGHT_M = (-0.15, 0.0, 0.15), 0.05
 # So far behind in time that the picture does not sway with the gait.
 _LAG_S = 0.7
 # Whoever turns the view is let alone for so long.
 HANDS_OFF_S = 0.4
 _STILL_M = 1e-3
-# What a page says of its camera may be as old as this many frames.
+# What a page says of its camera may be as old as this many turns of the view.
 _REMEMBERED = 120
 # Of a window that has not said so far which shape it has.
 _ASPECT = 1.5
@@ -115,30 +125,66 @@ def from_above(grid: OccupancyGrid, aspect: float) -> Sight:
     return centred(middle_m, forward / np.linalg.norm(forward), tilted.distance_m, aspect)
 
 
-def from_behind(robot_m: np.ndarray, yaw_rad: float, aspect: float) -> Sight:
-    """The camera behind a robot that faces yaw_rad and stands on the ground at robot_m (3,)."""
-    down = _BEHIND_RAD
-    ahead = np.array([math.cos(yaw_rad), math.sin(yaw_rad), 0.0])
-    forward = math.cos(down) * ahead - np.array([0.0, 0.0, math.sin(down)])
-    distance_m = _PHONE_DISTANCE_M if is_phone(aspect) else FOLLOW_DISTANCE_M
+def towards(
+    robot_m: np.ndarray, forward: np.ndarray, distance_m: float, aspect: float, met: Met
+) -> Sight:
+    """The camera that looks along forward (3,) at a robot on the ground at robot_m (3,).
+
+    Where floor, walls or boxes would hide the feet it looks down more steeply.
+    """
     point_m = robot_m + np.array([0.0, 0.0, FOLLOW_HEIGHT_M])
-    return centred(point_m, forward, distance_m, aspect)
+    level = math.hypot(forward[0], forward[1])
+    sight = centred(point_m, forward, distance_m, aspect)
+    if level < 1e-6:
+        return sight
+    ahead = np.array([forward[0], forward[1], 0.0]) / level
+    down_rad = math.atan2(-forward[2], level)
+    while _hides_feet(sight, robot_m, met) and down_rad < _STEEPEST_RAD:
+        down_rad = min(down_rad + _STEEPER_RAD, _STEEPEST_RAD)
+        forward = math.cos(down_rad) * ahead - np.array([0.0, 0.0, math.sin(down_rad)])
+        sight = centred(point_m, forward, distance_m, aspect)
+    return sight
+
+
+def _hides_feet(sight: Sight, robot_m: np.ndarray, met: Met) -> bool:
+    """Whether a ray from the camera to the feet of the robot at robot_m (3,) ends before them."""
+    away = robot_m - sight.position_m
+    aside = np.array([-away[1], away[0], 0.0]) / max(math.hypot(away[0], away[1]), 1e-9)
+    for aside_m in _FEET_ASIDE_M:
+        foot_m = robot_m + aside_m * aside + np.array([0.0, 0.0, _FEET_HEIGHT_M])
+        hit = met(sight.position_m, foot_m - sight.position_m)
+        if hit is not None:
+            hit_m = math.dist(sight.position_m, (hit.x_m, hit.y_m, hit.z_m))
+            if hit_m < math.dist(sight.position_m, foot_m):
+                return True
+    return False
+
+
+def behind(yaw_rad: float) -> np.ndarray:
+    """The direction (3,) in which one looks from behind, and above, a robot that faces yaw_rad."""
+    level, down = math.cos(_BEHIND_RAD), math.sin(_BEHIND_RAD)
+    return np.array([level * math.cos(yaw_rad), level * math.sin(yaw_rad), -down])
+
+
+def near_m(aspect: float) -> float:
+    """How far a camera that follows is from what it looks at, unless somebody zooms."""
+    return _PHONE_DISTANCE_M if is_phone(aspect) else FOLLOW_DISTANCE_M
 
 
 class Follower:
     """One page's camera on its way after the robot.
 
     Whoever watches chooses direction and distance: what the page says of its camera counts, unless
-    it is what it was told itself a moment ago.
+    it is what it was told itself a moment ago. While something hides the feet, the camera looks
+    down more steeply than was chosen.
     """
 
-    def __init__(self, now: Sight, aspect: float, now_s: float) -> None:
+    def __init__(self, now: Sight, aspect: float, now_s: float, met: Met) -> None:
         """Begins with the camera as it is; aspect of the window, now_s of the clock."""
         self._told = deque([now], maxlen=_REMEMBERED)
-        self._sight = now
-        near_m = _PHONE_DISTANCE_M if is_phone(aspect) else FOLLOW_DISTANCE_M
-        self._distance_m = min(now.distance_m, near_m)
-        self._now_s, self._free_from_s = now_s, -math.inf
+        self._sight, self._forward = now, now.forward
+        self._distance_m = min(now.distance_m, near_m(aspect))
+        self._now_s, self._free_from_s, self._met = now_s, -math.inf, met
 
     def next(self, seen: Sight, robot_m: np.ndarray, aspect: float, now_s: float) -> Sight | None:
         """Where the camera goes now; None if it stays.
@@ -149,6 +195,7 @@ class Follower:
         self._now_s = now_s
         if not any(_is_alike(seen, told) for told in self._told):
             self._sight, self._distance_m = seen, seen.distance_m
+            self._forward = seen.forward
             self._told.clear()
             self._told.append(seen)
             self.hold(now_s)
@@ -156,20 +203,28 @@ class Follower:
             return None
         before = self._sight
         distance_m = before.distance_m + share * (self._distance_m - before.distance_m)
-        point_m = robot_m + np.array([0.0, 0.0, FOLLOW_HEIGHT_M])
-        wanted = centred(point_m, before.forward, distance_m, aspect)
+        wanted = towards(robot_m, self._forward, distance_m, aspect, self._met)
         away_m = wanted.look_at_m - before.look_at_m
-        if np.linalg.norm(away_m) < _STILL_M and abs(distance_m - before.distance_m) < _STILL_M:
+        turn = wanted.forward - before.forward
+        if (
+            max(np.linalg.norm(away_m), np.linalg.norm(turn)) < _STILL_M
+            and abs(distance_m - before.distance_m) < _STILL_M
+        ):
             return None
-        look_at_m = before.look_at_m + share * away_m
-        self._sight = Sight(position_m=look_at_m - distance_m * before.forward, look_at_m=look_at_m)
-        self._told.append(self._sight)
+        look_at_m, forward = before.look_at_m + share * away_m, before.forward + share * turn
+        forward /= np.linalg.norm(forward)
+        self._sight = Sight(position_m=look_at_m - distance_m * forward, look_at_m=look_at_m)
+        if not _is_alike(self._sight, self._told[-1]):
+            self._told.append(self._sight)
         return self._sight
 
-    def jump(self, to: Sight) -> None:
-        """Notes that the page is told to look from elsewhere; it may say the old place for long."""
-        self._told.append(to)
-        self._sight, self._distance_m = to, to.distance_m
+    def jump(self, robot_m: np.ndarray, forward: np.ndarray, aspect: float) -> Sight:
+        """Where the camera is to look from along forward (3,), at once; for the rest see `next`."""
+        # The page may say the old place for long.
+        self._sight = towards(robot_m, forward, near_m(aspect), aspect, self._met)
+        self._forward, self._distance_m = forward, self._sight.distance_m
+        self._told.append(self._sight)
+        return self._sight
 
     def hold(self, now_s: float) -> None:
         """Lets the camera alone for a moment, because somebody has their hands on the page."""
@@ -202,11 +257,14 @@ class _Visitor:
 class Cameras:
     """Aims the camera of each page that opens, and lets it follow the robot where that is wanted.
 
-    Each page has a switch of its own in the panel, at the place `order` among the controls.
+    Each page has a switch of its own in the panel, at the place `order` among the controls. `met`
+    says what is between camera and robot.
     """
 
-    def __init__(self, server: viser.ViserServer, grid: OccupancyGrid, *, order: float) -> None:
-        self._grid, self._order = grid, order
+    def __init__(
+        self, server: viser.ViserServer, grid: OccupancyGrid, *, order: float, met: Met
+    ) -> None:
+        self._grid, self._order, self._met = grid, order, met
         self._begin = overview(grid, _ASPECT)
         aim_pages(server, self._begin)
         self._visitors: dict[int, _Visitor] = {}
@@ -280,9 +338,8 @@ class Cameras:
         aspect = visitor.client.camera.aspect
         follows = view == "Behind"
         if follows:
-            sight = from_behind(self._robot_m, self._yaw_rad, aspect)
-            visitor.follower = Follower(_sight(visitor.client.camera), aspect, time.monotonic())
-            visitor.follower.jump(sight)
+            follower = visitor.follower = self._follower(visitor)
+            sight = follower.jump(self._robot_m, behind(self._yaw_rad), aspect)
         else:
             visitor.follower = None
             sight = (from_above if view == "Above" else overview)(self._grid, aspect)
@@ -295,11 +352,14 @@ class Cameras:
             self._visitors.pop(client.client_id, None)
 
     def _switched(self, visitor: _Visitor) -> None:
-        camera = visitor.client.camera
         if not visitor.switch.value:
             visitor.follower = None
         elif visitor.follower is None:
-            visitor.follower = Follower(_sight(camera), camera.aspect, time.monotonic())
+            visitor.follower = self._follower(visitor)
+
+    def _follower(self, visitor: _Visitor) -> Follower:
+        camera = visitor.client.camera
+        return Follower(_sight(camera), camera.aspect, time.monotonic(), self._met)
 
 
 def aim_pages(server: viser.ViserServer, sight: Sight) -> None:

@@ -145,7 +145,12 @@ class Page:
                 self.map_chooser = MapChooser(
                     server.gui, maps=maps.all, chosen=maps.chosen, on_map=self._want, say=self._say
                 )
-        self.cameras = Cameras(server, grid, order=self.panel.switch_order)
+        self.cameras = Cameras(
+            server,
+            grid,
+            order=self.panel.switch_order,
+            met=lambda *ray: self._pointer.surface.met(*ray),
+        )
         self._themes = ThemeSwitches(server, order=self.panel.theme_order)
         self._addresses = Addresses(server, follow=self.follow, say=self._say)
         # Whoever goes in the middle of a drag points at nothing any more.
