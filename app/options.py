@@ -11,6 +11,8 @@ import dataclasses
 import difflib
 import inspect
 import math
+import shutil
+import textwrap
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -71,6 +73,7 @@ class Size(NamedTuple):
 
 
 LEAST_PX, MOST_PX = 64, 7680
+_MOST_LETTERS = 100  # in a line of the help
 _Spec = PrimitiveConstructorSpec[Any]
 Numbers = TypeVar("Numbers", Pose, Interval, Reach)
 
@@ -145,7 +148,7 @@ def parse_size(text: str) -> Size:
 
 def _show(value: object) -> list[str]:
     """A value as the help shows it and as it would be typed."""
-    if value is None or value == ():
+    if value is None or value in ((), "", {}):
         return ["none"]
     if isinstance(value, (Pose, Interval, Reach)):
         return [",".join(f"{part:g}" for part in value)]
@@ -271,17 +274,26 @@ def parse_options(
     def complain(event: tyro_errors.ParseErrorEvent) -> None:
         raise InputError(_message(event, kind, program))
 
-    description = f"{inspect.cleandoc(kind.__doc__ or '')}\n\nexample:\n  {example}"
+    if not {"-h", "--help"}.isdisjoint(words):
+        # tyro would leave long lines to the terminal, which cuts words.
+        print(f"{_filled(inspect.cleandoc(kind.__doc__ or ''))}\n\nexample:\n  {example}\n")
     on = {f"--{name}" for name in _switches_on(kind)}
     with tyro_errors.on_parse_error(complain):
         return tyro.cli(
             kind,
             prog=program,
-            description=description,
+            description="",
             # tyro knows such a switch by the name that turns it off only.
             args=[word for word in words if word not in on],
             config=(tyro.conf.FlagCreatePairsOff,),
         )
+
+
+def _filled(text: str) -> str:
+    """The paragraphs of a text in lines that fit the terminal, and can be read."""
+    width = min(shutil.get_terminal_size().columns, _MOST_LETTERS)
+    paragraphs = text.split("\n\n")
+    return "\n\n".join(textwrap.fill(part, width, break_on_hyphens=False) for part in paragraphs)
 
 
 def _switches_on(kind: type[Any]) -> set[str]:
@@ -353,8 +365,7 @@ class GoalOptions(MapOptions):
     """From where to where on the map."""
 
     goal: PoseOption
-    """Where to stand in the end: metres and radians in the map's frame, such as 2,1,1.57; an angle
-    may be in degrees, such as 2,1,90deg."""
+    """Where to stand in the end, in metres and radians, such as 2,1,1.57 or 2,1,90deg."""
 
     start: PoseOption = Pose(0.0, 0.0, 0.0)
     """Where the robot stands at first, such as -1,2,0."""

@@ -74,8 +74,7 @@ class WalkOptions(EngineOptions, PlanningOptions):
     """Let the robot know what its joints, inertial unit and soles measure, and nothing else."""
 
     localization: Annotated[float | None, number(above=0, at_most=40, metavar="HZ")] = None
-    """How often a second such a robot is told its place on the map, such as 10; none: never, and
-    it goes by its legs."""
+    """How often a second such a robot is told its place, such as 10; none: it goes by its legs."""
 
     localization_noise: ReachOption = Reach(0.03, math.radians(2.0))
     """Standard deviations of that place and heading, such as 0.03,2deg."""
@@ -90,8 +89,7 @@ class WalkOptions(EngineOptions, PlanningOptions):
     """From when on, and by how much, all places are off, such as 5,1."""
 
     hardware: Annotated[Any, text("NAME=VALUE,...", parse_hardware)] = None
-    """How robot and ground differ from the model, such as delay_s=0.015,gain=0.85,encoder_rad=0.017
-    (docs/hardware.md)."""
+    """How robot and ground differ from the model, such as gain=0.85; see docs/hardware.md."""
 
     def sensing(self) -> SensingConfig | None:
         """What the navigator is told; None: the robot knows its true state.

@@ -272,6 +272,25 @@ def test_every_command_has_help_for_every_option(name, capsys):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
+def test_no_line_of_a_help_is_cut_or_ends_early(name, capsys, monkeypatch):
+    _, kind = load_run(name)
+
+    def lines_of_help(columns: int) -> list[str]:
+        monkeypatch.setenv("COLUMNS", str(columns))
+        with pytest.raises(SystemExit):
+            parse_options(kind, ["--help"], program=name, example="prog x")
+        lines = capsys.readouterr().out.splitlines()
+        return [line for line in lines if not line.startswith("usage: ")]
+
+    assert max(map(len, lines_of_help(70))) <= 70
+    # With room for all, each option is told on one line, below its name if that is long.
+    options = [line.strip("│ ") for line in lines_of_help(400) if line.startswith("│")]
+    told = [line for line in options if " " in line and "--help" not in line]
+    assert all(line.endswith(")") for line in told), told
+    assert not [line for line in told if line.endswith(("(default: )", "'')", "'{}')"))]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_example_is_one_that_the_command_takes(name):
     command = COMMANDS[name]
     assert command.example.startswith(f"{name} ")

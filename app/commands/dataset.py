@@ -81,7 +81,7 @@ class DatasetOptions(MapOptions):
     """Plan footsteps to many random goals: a corpus to train on.
 
     Without a map every plan begins at 0,0,0 on an empty floor and ends up to 2 m ahead, up to 1 m
-    aside, turned by up to a quarter. The folder gets plans.npz, manifest.json and two pictures,
+    aside, turned by up to 90 degrees. The folder gets plans.npz, manifest.json and two pictures,
     plans.png and steps.png. The same seed gives the same plans whatever the number of workers.
     `dataset check DIR` checks every step of a corpus by independent geometry.
     """

@@ -88,15 +88,13 @@ class EvaluateOptions(EngineOptions, RobotOptions):
     """Threads for the physics, such as 2; 0 for all cores. The result does not depend on it."""
 
     cluster: ClusterOption = None
-    """Ray cluster that does the work, such as auto or 10.0.0.1:6379, each part on so many cores as
-    there are workers, by default one; none: this machine alone, one part after the other."""
+    """Ray cluster, each part on as many cores as workers (or 1), such as auto; none: no cluster."""
 
     controller: ControllerOption = "policy"
     """Who walks: the trained policy, or a controller by a model, such as lipm (docs/lipm.md)."""
 
     beside: Annotated[Path | None, text("DIR|NAME", Path)] = None
-    """What to show beside it: the folder of another evaluation of the robot, such as runs/other,
-    or another controller, such as lipm, which is then measured the same way."""
+    """An evaluation to show beside it, such as runs/other, or a controller to measure, lipm."""
 
     json: bool = False
     """Print evaluation.json on standard output, and nothing else there."""

@@ -35,16 +35,18 @@ class Ros1Options(PlanningOptions):
     from the step model's file if that is one of the old package. Ctrl-C ends it.
     """
 
-    remap: Annotated[tuple[Annotated[str, text("NAME:=OTHER")], ...], tyro.conf.Positional] = ()
-    """Other names of topics, services and the node, as rosrun takes them, such as
-    goal:=/move_base_simple/goal or __name:=planner."""
+    remap: Annotated[
+        tuple[Annotated[str, text("NAME:=OTHER")], ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(help_behavior_hint="(default: none)"),
+    ] = ()
+    """Other names, as rosrun takes them, such as goal:=/my_goal or __name:=planner."""
 
     map: OptionalFile = None  # type: ignore[assignment]
     """The map at first, such as maps/room.png; without it the topic map gives the first one."""
 
     step_model: OptionalFile = None
-    """Plan for the feet, limits and costs in this file and no robot, such as
-    planning_params_nao.yaml."""
+    """Plan for the feet, limits and costs in this file, such as planning_params_nao.yaml."""
 
     network: bool = False
     """Be reachable from other machines too, and not from this one alone."""

@@ -61,8 +61,7 @@ class ServeOptions(PlanningOptions):
     """Port to serve at, such as 8080; 0 for any that is free."""
 
     record: OptionalFile = None
-    """Also write what the robot does as an MCAP file, which Foxglove opens, such as walk.mcap; it
-    is there after Ctrl-C."""
+    """Also write what the robot does as an MCAP file, whole after Ctrl-C, such as walk.mcap."""
 
 
 def run(options: ServeOptions) -> int:

@@ -66,8 +66,7 @@ class SweepOptions:
     """Runs at the same time, such as 4; 0 for one on every two cores."""
 
     cluster: ClusterOption = None
-    """Ray cluster that trains, such as auto or 10.0.0.1:6379, with the folder on a disk that all
-    its machines share; none: processes of this machine."""
+    """Ray cluster that trains, the folder on a disk of all, such as auto; none: no cluster."""
 
     json: bool = False
     """Print sweep.json on standard output, and nothing else there."""
