@@ -256,7 +256,7 @@ def draw_loads(document: Document, figure: Figure) -> None:
             axes.bar(places, share, 0.38, color=colour, label=label)
             for place, height, row in zip(places, share, rows, strict=True):
                 axes.annotate(
-                    f"{row[peak]:.0f}" if row[peak] >= 10 else f"{row[peak]:.2f}",
+                    f"{row[peak]:.0f}" if row[peak] >= 10 else f"{row[peak]:.1f}",
                     (place, height),
                     xytext=(0, 2),
                     textcoords="offset points",

@@ -23,10 +23,12 @@ if TYPE_CHECKING:
 
     from sim.scene import Scene
 
-_WIDTH_IN, _HEIGHT_IN, _DPI = 14.0, 12.0, 110
+_WIDTH_IN, _VIEWS_IN, _LEGEND_IN, _DPI = 14.0, 6.6, 0.3, 110
+_ROW_IN, _LINE_IN = 0.24, 0.15  # of the table, of what was guessed
 _VIEWS = (("from the front", (1, 2), 1), ("from its right", (0, 2), 1), ("from below", (0, 1), 1))
 _AXIS_M = 0.09  # half the length of a joint's axis as it is drawn
-_COLOURS = {"yaw": "#2a7f3f", "roll": "#b03030", "pitch": "#3050b0", "knee": "#3050b0"}
+# Of joints' axes, by the axis of the world that they lie along: x, y, z.
+_COLOURS = {"roll": "#b03030", "pitch": "#3050b0", "yaw": "#2a7f3f"}
 _COLUMNS = (
     *("joint, left", "role", "sign", "half-sitting °", "range °", "kp N m/rad", "kd", "torque N m"),
     *("speed rad/s", "armature kg m²"),
@@ -47,22 +49,46 @@ def write_robot_sheet(path: Path, robot: Robot, guessed: Sequence[str] = ()) -> 
 
     scene = build_scene(robot, timestep_s=0.001, visuals=True)
     data = standing(scene)
-    figure = Figure(figsize=(_WIDTH_IN, _HEIGHT_IN), dpi=_DPI, layout="constrained")
+    rows = _rows(robot)
+    table_in = _ROW_IN * (len(rows) + 2)
+    text_in = _LINE_IN * (len(guessed) + 1) if guessed else 0.0
+    heights_in = (_LEGEND_IN, _VIEWS_IN, table_in + text_in)
+    size_in = (_WIDTH_IN, sum(heights_in))
+    figure = Figure(figsize=size_in, dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
-    grid = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
+    grid = figure.add_gridspec(3, 3, height_ratios=heights_in)
     figure.suptitle(
         f"{robot.title}: {robot.mass_kg:g} kg, {robot.height_m:g} m, pelvis at "
         f"{robot.pelvis_height_m:g} m in half-sitting"
     )
     for column, (title, plane, sign) in enumerate(_VIEWS):
-        axes = figure.add_subplot(grid[0, column])
+        axes = figure.add_subplot(grid[1, column])
         axes.set_title(title)
         _draw_view(axes, scene, data, plane, sign)
-    _draw_table(figure.add_subplot(grid[1, :]), robot, guessed)
+    _draw_legend(figure.add_subplot(grid[0, :]))
+    below = figure.add_subplot(grid[2, :])
+    _draw_table(below, rows)
+    lines = ["Guessed:", *(f"- {line}" for line in guessed)] if guessed else []
+    place = 1 - table_in / heights_in[-1]
+    below.text(0.0, place, "\n".join(lines), va="top", fontsize=8, transform=below.transAxes)
     content = BytesIO()
     figure.savefig(content, format="jpg" if path.suffix.lower() in (".jpg", ".jpeg") else "png")
     with replacing(path) as temporary:
         temporary.write_bytes(content.getvalue())
+
+
+def _draw_legend(axes: Any) -> None:
+    """What the colours mean, above the views: words beside what is drawn would cover it."""
+    from matplotlib.lines import Line2D
+
+    lines = {"left": hex_of(LEFT), "right": hex_of(RIGHT), "middle": hex_of(BODY)}
+    lines |= {f"{kind} axis": colour for kind, colour in _COLOURS.items()}
+    handles = [Line2D([], [], color=colour, label=name) for name, colour in lines.items()]
+    handles.append(
+        Line2D([], [], color="black", marker="P", markersize=9, linewidth=0, label="centre of mass")
+    )
+    axes.axis("off")
+    axes.legend(handles=handles, loc="center", ncols=len(handles), frameon=False, fontsize=9)
 
 
 def _draw_view(
@@ -92,7 +118,6 @@ def _draw_view(
         _draw_axes(axes, scene, data, plane, flip)
     com = data.body("pelvis").subtree_com[list(plane)] * flip
     axes.plot(*com, marker="P", color="black", markersize=9, zorder=6)
-    axes.annotate("centre of mass", com, textcoords="offset points", xytext=(6, 6), fontsize=8)
     if not is_below:
         axes.axhline(0, color="#888888", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
@@ -113,10 +138,10 @@ def _draw_axes(
     """The axis of every joint as a line, or a point where it comes out of the plane."""
     for joint in scene.robot.joints:
         of_joint = data.joint(joint.name)
-        kind = (joint.role or "pitch").rpartition("_")[2]
+        kind = tuple(_COLOURS)[int(np.abs(of_joint.xaxis).argmax())]
         ends = np.array([of_joint.xanchor + step * of_joint.xaxis for step in (-_AXIS_M, _AXIS_M)])
         shown = ends[:, list(plane)] * flip
-        style = {"color": _COLOURS.get(kind, "black"), "zorder": 5}
+        style = {"color": _COLOURS[kind], "zorder": 5}
         axes.plot(*shown.T, linewidth=1.6, **style)
         axes.plot(*shown.mean(axis=0), marker="o", markersize=3, **style)
 
@@ -151,7 +176,8 @@ def _closed(outline: FloatArray) -> FloatArray:
     return np.concatenate([outline, outline[:1]])
 
 
-def _draw_table(axes: Any, robot: Robot, guessed: Sequence[str]) -> None:
+def _rows(robot: Robot) -> list[tuple[str, ...]]:
+    """What the table tells of each joint of the left leg."""
     from sim.scene import build_scene
 
     model = build_scene(robot, timestep_s=0.001).model
@@ -160,17 +186,19 @@ def _draw_table(axes: Any, robot: Robot, guessed: Sequence[str]) -> None:
         low, high = np.degrees(model.joint(joint.name).range)
         rows.append(
             (
-                *(joint.name, joint.role, f"{joint.mirror_sign:+d}"),
+                *(joint.name, joint.role or "-", f"{joint.mirror_sign:+d}"),
                 f"{math.degrees(joint.half_sitting_rad):.1f}",
                 f"{low:.0f} to {high:.0f}",
                 *(f"{v:g}" for v in (joint.kp, joint.kd, joint.torque_limit_nm)),
                 *(f"{v:.3g}" for v in (joint.speed_limit_rad_s, joint.armature_kg_m2)),
             )
         )
+    return rows
+
+
+def _draw_table(axes: Any, rows: Sequence[tuple[str, ...]]) -> None:
     axes.axis("off")
     table = axes.table(cellText=rows, colLabels=_COLUMNS, loc="upper center", cellLoc="center")
     table.auto_set_font_size(False)
     table.set_fontsize(8)
     table.auto_set_column_width(list(range(len(_COLUMNS))))
-    lines = ["Guessed:", *(f"- {line}" for line in guessed)] if guessed else []
-    axes.text(0.0, 0.42, "\n".join(lines), va="top", fontsize=8, transform=axes.transAxes)
