@@ -24,6 +24,7 @@ from controller.lipm.pattern import (
     StageFailed,
     integrated,
     phase_at,
+    triple_integrator,
 )
 from controller.lipm.whole_body import LegReach
 
@@ -73,8 +74,5 @@ class HeightGenerator:
 
     def advance(self, time_s: float) -> None:
         """Go on for a time."""
-        z, v, a = self.state
-        j, t = self._jerk, time_s
-        self.state = np.array(
-            [z + t * v + t**2 / 2 * a + t**3 / 6 * j, v + t * a + t**2 / 2 * j, a + t * j]
-        )
+        free, forced = triple_integrator(time_s)
+        self.state = free @ self.state + forced * self._jerk

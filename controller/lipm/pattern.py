@@ -172,15 +172,24 @@ class Pendulum:
 
     def advance(self, jerk: np.ndarray, time_s: float) -> None:
         """Integrate over a time with constant jerk (2,)."""
-        t = time_s
-        self.com = self.com + t * self.velocity + t**2 / 2 * self.acceleration + t**3 / 6 * jerk
-        self.velocity = self.velocity + t * self.acceleration + t**2 / 2 * jerk
-        self.acceleration = self.acceleration + t * jerk
+        free, forced = triple_integrator(time_s)
+        state = np.stack([self.com, self.velocity, self.acceleration])
+        self.com, self.velocity, self.acceleration = free @ state + np.outer(forced, jerk)
 
     def shift(self, turn: np.ndarray, offset: np.ndarray) -> None:
         """Turn everything by a rotation (2, 2) and move it by an offset (2,)."""
         self.com = turn @ self.com + offset
         self.velocity, self.acceleration = turn @ self.velocity, turn @ self.acceleration
+
+
+def triple_integrator(time_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """What a time of constant jerk does to position, velocity and acceleration.
+
+    They become `free @ state + forced * jerk`, of shapes (3, 3) and (3,).
+    """
+    t = time_s
+    free = np.array([[1, t, t**2 / 2], [0, 1, t], [0, 0, 1]])
+    return free, np.array([t**3 / 6, t**2 / 2, t])
 
 
 def integrated() -> tuple[np.ndarray, np.ndarray]:
@@ -189,8 +198,8 @@ def integrated() -> tuple[np.ndarray, np.ndarray]:
     State (3,) after sample k + 1: `free[k] @ state + forced[k] @ jerk`, of shapes (SAMPLES, 3, 3)
     and (SAMPLES, 3, SAMPLES).
     """
-    n, t = SAMPLES, SAMPLE_S
-    step = np.array([[1, t, t**2 / 2], [0, 1, t], [0, 0, 1]])
+    n = SAMPLES
+    step, jerked = triple_integrator(SAMPLE_S)
     free, forced = np.zeros((n, 3, 3)), np.zeros((n, 3, n))
     power = np.eye(3)
     for k in range(n):
@@ -198,7 +207,7 @@ def integrated() -> tuple[np.ndarray, np.ndarray]:
         free[k] = power
         if k:
             forced[k] = step @ forced[k - 1]
-        forced[k, :, k] = t**3 / 6, t**2 / 2, t
+        forced[k, :, k] = jerked
     return free, forced
 
 
