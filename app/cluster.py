@@ -7,14 +7,14 @@ import importlib.util
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Optional, TypeVar
 
 from app.options import text
 from app.output import InputError, one_line, say
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-ClusterOption = Annotated[str | None, text("auto|ADDRESS")]
+ClusterOption = Annotated[Optional[str], text("auto|ADDRESS")]  # noqa: UP045
 # How often a task is tried again whose worker or machine was lost; one that ends every worker it
 # meets, for want of memory say, must not do so for ever.
 RETRIES = 5

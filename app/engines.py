@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Annotated
+from typing import Annotated, Optional
 
 from app.options import choice, number
 from app.output import InputError, as_bad_input
@@ -35,7 +35,7 @@ class EngineOptions:
     contact_dissipation: Annotated[float, number(at_least=0.0)] = _DEFAULT.dissipation_s_m
     """How contacts are damped by all but sap: Hunt and Crossley's, in s/m, such as 1."""
 
-    contact_friction: Annotated[float | None, number(at_least=0.0)] = None
+    contact_friction: Annotated[Optional[float], number(at_least=0.0)] = None  # noqa: UP045
     """Coefficient of friction in Drake, such as 0.5; none: the scene's own."""
 
     contact_time_step: Annotated[float, number(above=0.0)] = _DEFAULT.timestep_s

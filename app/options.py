@@ -225,8 +225,8 @@ def _one_of(names: Sequence[str], word: str) -> str:
     return word
 
 
-# Types are spelled so that tyro can tell by itself whether a default is of its type. For `X | None`
-# and `tuple[X, ...]` it loads typeguard, which takes a tenth of the time of loading all of `plan`.
+# Types are spelled so that tyro can tell by itself whether a default is of its type. For Any,
+# `X | None` and `tuple[X, ...]` it loads typeguard: a tenth of the time of loading all of `plan`.
 _POSE = text("X,Y,YAW", parse_pose)
 PoseOption = Annotated[Pose, _POSE]
 OptionalPose = Annotated[Optional[Pose], _POSE]  # noqa: UP045

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Optional, Union
 
 from app.controllers import ControllerOption, load_controlled
 from app.engines import EngineOptions, load_engine
@@ -31,12 +31,19 @@ if TYPE_CHECKING:
     from sim.robot import Robot
 
 
-def parse_jump(word: str) -> tuple[float, float]:
+class Jump(NamedTuple):
+    """From when on, and by how much, places are off."""
+
+    at_s: float
+    m: float
+
+
+def parse_jump(word: str) -> Jump:
     """Reads a time and a length such as 5,1; raises ValueError unless neither is negative."""
-    with contextlib.suppress(ValueError):
-        at_s, jump_m = map(float, word.split(","))
-        if 0 <= at_s < math.inf and 0 <= jump_m < math.inf:
-            return at_s, jump_m
+    with contextlib.suppress(ValueError, TypeError):
+        jump = Jump(*map(float, word.split(",")))
+        if all(0 <= value < math.inf for value in jump):
+            return jump
     raise ValueError(f"{word!r} is not a jump; write S,M in seconds and metres, such as 5,1")
 
 
@@ -73,7 +80,7 @@ class WalkOptions(EngineOptions, PlanningOptions):
     sensed: bool = False
     """Let the robot know what its joints, inertial unit and soles measure, and nothing else."""
 
-    localization: Annotated[float | None, number(above=0, at_most=40, metavar="HZ")] = None
+    localization: Annotated[Optional[float], number(above=0, at_most=40, metavar="HZ")] = None  # noqa: UP045
     """How often a second such a robot is told its place, such as 10; none: it goes by its legs."""
 
     localization_noise: ReachOption = Reach(0.03, math.radians(2.0))
@@ -85,10 +92,11 @@ class WalkOptions(EngineOptions, PlanningOptions):
     localization_outliers: Annotated[float, number(at_least=0, at_most=0.9)] = 0.0
     """Share of places that are off by a metre, such as 0.05."""
 
-    localization_jump: Annotated[tuple[float, float] | None, text("S,M", parse_jump)] = None
+    localization_jump: Annotated[Optional[Jump], text("S,M", parse_jump)] = None  # noqa: UP045
     """From when on, and by how much, all places are off, such as 5,1."""
 
-    hardware: Annotated[Any, text("NAME=VALUE,...", parse_hardware)] = None
+    # Of a type whose module is not loaded here; None comes first, see app/options.py.
+    hardware: Annotated[Union[None, Any], text("NAME=VALUE,...", parse_hardware)] = None  # noqa: RUF036, UP007
     """How robot and ground differ from the model, such as gain=0.85; see docs/hardware.md."""
 
     def sensing(self) -> SensingConfig | None:
@@ -109,15 +117,15 @@ class WalkOptions(EngineOptions, PlanningOptions):
         noise = self.localization_noise
         if min(noise) <= 0:
             raise InputError(f"--localization-noise {noise.m:g},{noise.rad:g}: must be above 0")
-        at_s, jump_m = self.localization_jump or (0.0, 0.0)
+        jump = self.localization_jump or Jump(0.0, 0.0)
         localization = LocalizationConfig(
             rate_hz=self.localization,
             noise_m=noise.m,
             noise_rad=noise.rad,
             delay_s=self.localization_delay,
             outliers=self.localization_outliers,
-            jump_at_s=at_s,
-            jump_m=jump_m,
+            jump_at_s=jump.at_s,
+            jump_m=jump.m,
         )
         return SensingConfig(localization=localization)
 
