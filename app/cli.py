@@ -209,6 +209,11 @@ def _dispatch(arguments: list[str], program: str) -> int:
     if name in ("-h", "--help", "help"):
         print(overview(program))
         return ExitCode.DONE
+    if name == "--version":
+        import importlib.metadata
+
+        print(f"footfall {importlib.metadata.version('footfall-navigation')}")
+        return ExitCode.DONE
     if f"{name} {' '.join(rest[:1])}" in COMMANDS:
         name, rest = f"{name} {rest[0]}", rest[1:]
     if name not in COMMANDS:

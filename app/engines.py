@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Optional
 
 from app.options import choice, number
-from app.output import InputError, as_bad_input
+from app.output import InputError, as_bad_input, refuse_given
 from controller.gait import CONTROL_PERIOD_S
 from sim.drake.contact_model import APPROXIMATIONS, ContactModel, EngineError
 from sim.engines import MUJOCO, DrakeEngine, Engine
@@ -61,10 +61,8 @@ def load_engine(options: EngineOptions, robot: Robot) -> Engine:
         InputError: It is not installed, cannot hold the robot, or an option belongs to another one.
     """
     if options.engine == "mujoco":
-        for option in fields(EngineOptions):
-            if getattr(options, option.name) != option.default and option.name != "engine":
-                name = option.name.replace("_", "-")
-                raise InputError(f"--{name} goes with --engine drake: leave it out")
+        others = [option.name for option in fields(EngineOptions) if option.name != "engine"]
+        refuse_given(options, others, "goes with --engine drake: leave it out")
         return MUJOCO
     with as_bad_input(EngineError):
         engine = DrakeEngine(contact=options.contact_model)

@@ -28,7 +28,7 @@ from tyro.constructors import PrimitiveConstructorSpec
 
 from app.output import InputError, as_bad_input, say
 from controller.gait import PACES
-from controller.policy import PolicyError
+from controller.policy import PolicyError, load_policy
 from controller.tracking_limits import with_tracking_limits
 from maps.grid import OccupancyGrid
 from maps.map_files import MapError, load_map
@@ -439,8 +439,10 @@ def find_robot_with_limits(name: str, policy: Path | None = None) -> Robot:
     keep (`evaluate` stores them beside it), or the robot's file's where nothing was measured.
 
     Raises:
-        InputError: There is no such robot, or what was measured cannot be read.
+        InputError: There is no such robot or policy, or what was measured cannot be read.
     """
     robot = find_robot(name)
     with as_bad_input(PolicyError):
+        if policy is not None:
+            load_policy(robot, policy)
         return with_tracking_limits(robot, policy)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import fcntl
 import json
 import os
@@ -85,6 +86,13 @@ def _shortened(text: str, most: int) -> str:
     """The text with its middle left out if it has more than so many letters."""
     half = most // 2 - 3
     return text if len(text) <= most else f"{text[:half]} ... {text[-half:]}"
+
+
+def refuse_given(options: Any, names: Sequence[str], why: str) -> None:
+    """Raises InputError, which says why, if one of these options has been given."""
+    for field in dataclasses.fields(options):
+        if field.name in names and getattr(options, field.name) != field.default:
+            raise InputError(f"--{field.name.replace('_', '-')} {why}")
 
 
 def require_writable(path: Path | None, *, option: str, endings: Sequence[str] = ()) -> None:

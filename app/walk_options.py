@@ -19,7 +19,7 @@ from app.options import (
     number,
     text,
 )
-from app.output import InputError
+from app.output import InputError, refuse_given
 
 if TYPE_CHECKING:
     from app.navigation.navigator import NavigatorConfig
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from sim.engines import Engine
     from sim.hardware import HardwareErrors
     from sim.robot import Robot
+
+
+_OF_LOCALIZATION = tuple(f"localization_{name}" for name in ("noise", "delay", "outliers", "jump"))
 
 
 class Jump(NamedTuple):
@@ -109,11 +112,10 @@ class WalkOptions(EngineOptions, PlanningOptions):
         from app.navigation.sensed import SensingConfig
 
         if not self.sensed:
-            if self.localization is not None:
-                raise InputError("--localization goes with --sensed")
-            return None
+            refuse_given(self, ("localization",), "goes with --sensed")
         if self.localization is None:
-            return SensingConfig()
+            refuse_given(self, _OF_LOCALIZATION, "goes with --localization")
+            return SensingConfig() if self.sensed else None
         noise = self.localization_noise
         if min(noise) <= 0:
             raise InputError(f"--localization-noise {noise.m:g},{noise.rad:g}: must be above 0")

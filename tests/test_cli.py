@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -90,6 +91,10 @@ def test_a_map_without_yaml_is_read_with_its_resolution(map_of, tmp_path):
         ((*GOAL, "--epsilon", "0.9"), "'0.9'"),
         ((*GOAL, "--heuristic", "guess"), "'guess'"),
         ((*GOAL, "--heuristic", "path", "--planner", "adstar"), "for the planners ara, astar"),
+        ((*GOAL, "--policy", "nobody.safetensors"), "no policy file nobody.safetensors"),
+        ((*GOAL, "--planner", "fmt", "--epsilon", "3"), "--epsilon goes with the planners ara, a"),
+        ((*GOAL, "--planner", "rrtstar", "--prove"), "--prove goes with the planners ara, astar"),
+        ((*GOAL, "--planner", "fmt", "--search-image", "s.png"), "--search-image goes with the "),
         ((*GOAL, "--out", f"{ROOM}/plan.json"), "--out: cannot write"),
         ((*GOAL, "--image", "/nonexistent/plan.png"), "--image: cannot write"),
         ((*GOAL, "--image", "plan.gif"), "--image"),
@@ -97,6 +102,21 @@ def test_a_map_without_yaml_is_read_with_its_resolution(map_of, tmp_path):
 )
 def test_a_mistake_on_the_command_line(refused, words, told):
     assert told in refused("plan", "--map", ROOM, *words)
+
+
+@pytest.mark.parametrize("words", [("--fps", "24"), ("--video-size", "640x360")])
+def test_what_a_film_is_to_be_like_goes_with_a_film(refused, words):
+    assert f"{words[0]} goes with --video" in refused("navigate", "--map", ROOM, *GOAL, *words)
+
+
+@pytest.mark.parametrize("name", ["http://robot.lab", "robot lab", "a,,b"])
+def test_what_can_be_no_name_of_a_host_is_refused(refused, name):
+    assert f"--allow-host: {name!r} is not names of hosts" in refused("serve", "--allow-host", name)
+
+
+def test_the_version_is_that_of_the_distribution(capsys):
+    assert main(("--version",)) == ExitCode.DONE
+    assert capsys.readouterr().out == f"footfall {version('footfall-navigation')}\n"
 
 
 @pytest.mark.parametrize(

@@ -297,6 +297,8 @@ def test_between_the_parts_of_a_control_step_it_measures_anew():
     ("words", "said"),
     [
         (["--localization", "10"], "--localization goes with --sensed"),
+        (["--localization-outliers", "0.1"], "-outliers goes with --localization"),
+        (["--sensed", "--localization-jump", "5,1"], "-jump goes with --localization"),
         (["--sensed", "--localization", "0"], "'0' is not a number above 0"),
         (["--sensed", "--localization", "9", "--localization-noise", "0,0"], "must be above 0"),
         (["--sensed", "--localization-jump", "1"], "'1' is not a jump"),

@@ -31,6 +31,7 @@ from app.output import (
     InputError,
     ProgressBar,
     make_folder,
+    refuse_given,
     require_writable,
     say,
     write_picture,
@@ -112,6 +113,8 @@ def run(options: NavigateOptions) -> int:
     MuJoCo reads the choice of GL library when it is imported, so it is made here, before. Without
     one the walk takes place all the same, and one line says what is missing.
     """
+    if options.video is None:
+        refuse_given(options, ("video_size", "fps"), "goes with --video")
     if options.draws_robot:
         try:
             prepare_gl()

@@ -25,6 +25,7 @@ from app.output import (
     ExitCode,
     InputError,
     as_bad_input,
+    refuse_given,
     require_writable,
     say,
     write_picture,
@@ -32,7 +33,7 @@ from app.output import (
 )
 from app.workers import compile_planner
 from maps.yaml_files import YamlFileError
-from planner.options import HEURISTICS, PlannerOptions
+from planner.options import HEURISTICS, PLANNERS, SAMPLING_PLANNERS, PlannerOptions
 from planner.plan import FootstepPlan
 from planner.robot_model import StepModel
 from planner.step_model_file import StepModelError, load_step_model
@@ -95,6 +96,10 @@ def run(options: PlanOptions) -> int:
     require_writable(options.refine_image, option="--refine-image", endings=PICTURE_ENDINGS)
     if options.refine_image is not None and not options.refine:
         raise InputError("--refine-image shows what refinement does: leave out --no-refine")
+    if options.planner in SAMPLING_PLANNERS:
+        provers = [name for name in PLANNERS if name not in SAMPLING_PLANNERS]
+        given = ("search_image", "epsilon", "partial", "prove")
+        refuse_given(options, given, f"goes with the planners {', '.join(provers)}")
     search = _search(options)
     name, model = _step_model(options)
     grid = read_grid(options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,6 +34,14 @@ if TYPE_CHECKING:
 _LAST_WORDS_S = 0.3
 
 
+def parse_hosts(words: str) -> tuple[str, ...]:
+    """Reads names of hosts with commas between; raises ValueError where one can be none."""
+    names = tuple(words.lower().split(","))
+    if not all(re.fullmatch(r"[\w.:\[\]-]+", name) for name in names):
+        raise ValueError(f"{words!r} is not names of hosts; write NAME,..., such as robot.local")
+    return names
+
+
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions(PlanningOptions):
     """Open a web page: the map, and the robot that walks where you click.
@@ -52,9 +61,7 @@ class ServeOptions(PlanningOptions):
     host: Annotated[str, text("ADDRESS")] = "127.0.0.1"
     """Address to serve at, such as 0.0.0.0 for everybody who can reach this machine."""
 
-    allow_host: Annotated[
-        tuple[str, ...], text("NAME,...", lambda w: tuple(w.lower().split(",")))
-    ] = ()
+    allow_host: Annotated[tuple[str, ...], text("NAME,...", parse_hosts)] = ()
     """Further names under which the page is asked for, such as that of a proxy, robot.local."""
 
     port: Annotated[int, whole_number(at_least=0, metavar="PORT")] = 8080
