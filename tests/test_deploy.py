@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import json
 import re
+import runpy
 import sys
 from pathlib import Path
 
@@ -191,3 +192,10 @@ def test_a_robot_that_falls_is_told(tmp_path, program, capsys):
     capsys.readouterr()
     assert program.main(str(policy), str(model), str(plan)) == 4
     assert capsys.readouterr().out == "fell after 0 of 1 steps\n"
+
+
+def test_without_its_three_files_it_says_how_it_is_called(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["walk_plan.py", "policy.onnx"])
+    with pytest.raises(SystemExit) as left:
+        runpy.run_path(str(PROGRAM), run_name="__main__")
+    assert "walk_plan.py policy.onnx robot.xml plan.json" in str(left.value.code)

@@ -5,7 +5,8 @@
     python examples/deploy/walk_plan.py policy.onnx robot.xml plan.json
 
 All that it knows of the policy is in the ONNX file. `Robot` is what to replace on hardware: it
-gives the state and takes joint targets at 40 Hz. docs/deploying.md explains every number.
+gives the state and takes joint targets at 40 Hz. Its floor is level here, whatever the map.
+docs/deploying.md explains every number.
 """
 
 from __future__ import annotations
@@ -165,4 +166,4 @@ def main(policy_file: str, model_file: str, plan_file: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:4]))
+    sys.exit(main(*sys.argv[1:]) if len(sys.argv) == 4 else __doc__)
