@@ -121,6 +121,7 @@ def _draw_view(
     if not is_below:
         axes.axhline(0, color="#888888", linewidth=0.8, zorder=0)
     axes.set_aspect("equal")
+    axes.locator_params(axis="x", nbins=4)
     axes.set_xlabel(f"{'-' if sign < 0 else ''}{'xyz'[plane[0]]}, m")
     axes.set_ylabel(f"{'xyz'[plane[1]]}, m")
     if is_below:
