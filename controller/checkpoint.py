@@ -20,7 +20,7 @@ from maps.files import check_unpacked, from_json, written_whole
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
-CHECKPOINT_FORMAT = "walk-training/3"
+CHECKPOINT_FORMAT = "walk-training/4"
 # Checkpoint, the one that replaces it, policy, corpus and log together take a fifth of this.
 LEAST_FREE_BYTES = 50_000_000
 
@@ -31,7 +31,7 @@ class TrainingError(ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class Checkpoint:
-    """State of a run after `segment` segments, before it trains at `stage`.
+    """State of a run after `segment` segments, before it trains at `stage`, with `blended` rewards.
 
     `best_score` is of the best policy so far, `history` has one entry per segment, `learner` is
     the state of PPO.
@@ -39,6 +39,7 @@ class Checkpoint:
 
     segment: int
     stage: Stage
+    blended: float
     best_score: tuple[float, ...]
     history: list[dict[str, Any]]
     learner: dict[str, Any]
@@ -69,6 +70,7 @@ def write_checkpoint(folder: Path, config: TrainConfig, robot: Robot, state: Che
         "layout": json.dumps(_layout(robot)),
         "segment": state.segment,
         "stage": asdict(state.stage),
+        "blended": state.blended,
         "best_score": list(state.best_score),
         "history": json.dumps(state.history),
         "learner": state.learner,
@@ -110,6 +112,7 @@ def read_checkpoint(folder: Path, config: TrainConfig, robot: Robot) -> Checkpoi
         state = Checkpoint(
             segment=document["segment"],
             stage=Stage(**document["stage"]),
+            blended=document["blended"],
             best_score=tuple(document["best_score"]),
             history=from_json(document["history"]),
             learner=document["learner"],
@@ -135,6 +138,8 @@ def _check_progress(config: TrainConfig, state: Checkpoint) -> None:
     ):
         if not 0 <= value <= most:
             raise ValueError(f"{value} is not from 0 to {most}, in {state.stage}")
+    if not 0 <= state.blended <= 1:
+        raise ValueError(f"rewards blended by {state.blended}, which is not from 0 to 1")
     if not all(isinstance(part, int | float) and part == part for part in state.best_score):
         raise ValueError(f"a best score of {state.best_score}")
 

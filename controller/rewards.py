@@ -237,26 +237,36 @@ PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}
 
 @dataclass(frozen=True, kw_only=True)
 class RewardSchedule:
-    """Weights that change over a training run, from `first` to `last`.
+    """Weights that change over a training run, from `first` to `last`, once the robot walks.
 
-    Between the shares `blend` (from, to) of the run the weights are interpolated. Under `QUIET`
-    standing still pays more than a first step, so walking is learned under `PRECISE`.
+    Under `QUIET` standing still pays more than a first step, so walking is learned under `PRECISE`.
+    When `success` of the held-out flat episodes succeed, with feet `error_m` from their steps or
+    nearer (median), the weights are interpolated over the next `blend_share` of the run.
     """
 
     first: Mapping[str, float]
     last: Mapping[str, float]
-    blend: tuple[float, float] = (0.17, 0.4)
+    success: float = 0.95
+    error_m: float = 0.04
+    blend_share: float = 0.23
 
-    def progress(self, share: float) -> float:
-        """Position of the weights between `first` (0) and `last` (1) after `share` of the run."""
-        low, high = self.blend
-        return min(max((share - low) / (high - low), 0.0), 1.0)
+    def after(self, blended: float, *, share: float, success: float, error_m: float) -> float:
+        """Position of the weights between `first` (0) and `last` (1) in the next segment.
 
-    def at(self, share: float) -> dict[str, float]:
-        """The weights after `share` in [0, 1] of the run."""
-        t = self.progress(share)
+        `blended` is that of the segment before, which was `share` of the run; at its end the
+        robot walked with this `success` and this median `error_m`, NaN for no step at all.
+        """
+        if blended == 0 and not (success >= self.success and error_m <= self.error_m):
+            return 0.0
+        return min(blended + share / self.blend_share, 1.0)
+
+    def at(self, blended: float) -> dict[str, float]:
+        """The weights at a position in [0, 1] between `first` and `last`."""
         names = dict.fromkeys((*self.first, *self.last))
-        weights = {n: (1 - t) * self.first.get(n, 0.0) + t * self.last.get(n, 0.0) for n in names}
+        weights = {
+            n: (1 - blended) * self.first.get(n, 0.0) + blended * self.last.get(n, 0.0)
+            for n in names
+        }
         return {name: weight for name, weight in weights.items() if weight > 0}
 
 

@@ -108,6 +108,7 @@ class SegmentReport:
     samples_per_s: float
     seconds_left: float
     reward: float
+    blended: float
     landing_error_m: float
     falls_per_episode: float
     result: ModeResult
@@ -171,6 +172,7 @@ class Trainer:
         self.ppo = make_ppo(self.env, config.ppo, self.ranks.multi_gpu)
         self.segment = 0
         self.stage = config.curriculum.first()
+        self.blended = 0.0 if config.warm_up else 1.0  # of the rewards, the first into the last
         self.best_score: tuple[float, ...] = (-np.inf,)
         self.history: list[dict[str, Any]] = []
 
@@ -214,13 +216,13 @@ class Trainer:
         segment_seed = self.ranks.seed_sequence(config.seed, self.segment)
         torch.manual_seed(int(segment_seed.generate_state(1)[0]))  # rsl-rl draws from it
         self.env.task.restart(segment_seed, stage=self.stage)
+        self.env.task.weights = config.rewards.at(self.blended)
         started, statistics = time.perf_counter(), SegmentStatistics()
         observation = self.env.get_observations()
         losses: dict[str, float] = {}
         for update in range(config.updates_per_segment):
             done = self.segment + update / config.updates_per_segment
             set_progress(self.ppo, config.ppo, done / config.segments)
-            self.env.task.weights = config.rewards.at(done / config.segments)
             observation = self._sample(observation, statistics)
             torch.set_num_threads(self._learner_threads)
             losses = self.ppo.update()
@@ -269,12 +271,18 @@ class Trainer:
         if writer is not None:
             self._log(writer, summary, losses, results)
         # Policies trained under the warm-up reward count as worse.
-        blended = config.rewards.progress((self.segment - 1) / config.segments)
-        now = (blended, *score(stage, results))
+        blended = self.blended
+        now = (blended, *score(stage, results, summary["reward"]))
         best = now > self.best_score
         self.best_score = max(now, self.best_score)
         line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}
         self.history.append({**line, "assess": assessed, "assess_stairs": assessed_stairs})
+        self.blended = config.rewards.after(
+            self.blended,
+            share=1 / config.segments,
+            success=flat.success,
+            error_m=float(assessed["error_m_median"]),
+        )
         self.stage = config.curriculum.after(
             stage,
             updates=self.segment * config.updates_per_segment,
@@ -287,6 +295,7 @@ class Trainer:
             samples_per_s=config.samples_per_segment / seconds,
             seconds_left=(config.segments - self.segment) * seconds,
             reward=summary["reward"],
+            blended=blended,
             landing_error_m=summary["landing_error_m"],
             falls_per_episode=summary["falls_per_episode"],
             result=flat,
@@ -307,6 +316,7 @@ class Trainer:
         for name, value in {**summary, **{f"loss/{k}": v for k, v in losses.items()}}.items():
             writer.add_scalar(f"train/{name}", value, samples)
         writer.add_scalar("train/rise_m", self.stage.rise_m, samples)
+        writer.add_scalar("train/reward_blended", self.blended, samples)
         groups = zip(("assess", "stairs", "rough_stairs"), results, strict=False)
         for group, result in groups:
             for name, number in result.summary.items():
@@ -341,6 +351,7 @@ class Trainer:
         state = Checkpoint(
             segment=self.segment,
             stage=self.stage,
+            blended=self.blended,
             best_score=self.best_score,
             history=self.history,
             learner=self.ppo.save(),
@@ -365,5 +376,5 @@ class Trainer:
                 f"the checkpoint in {self.out} is from another layout: its networks do not fit "
                 f"{self.robot.name} as it is now"
             ) from error
-        self.segment, self.stage = state.segment, state.stage
+        self.segment, self.stage, self.blended = state.segment, state.stage, state.blended
         self.best_score, self.history = state.best_score, state.history

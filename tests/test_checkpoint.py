@@ -206,7 +206,7 @@ def test_networks_of_another_size_are_refused(saved):
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"format": "walk-training/1"}, "is not a walk-training/3 checkpoint"),
+        ({"format": "walk-training/1"}, "is not a walk-training/4 checkpoint"),
         ({"stage": None}, "is damaged: KeyError('stage')"),
         ({"stage": {"rise": 0.1}}, "is damaged"),
         ({"config": "{"}, "is damaged"),
@@ -220,6 +220,9 @@ def test_networks_of_another_size_are_refused(saved):
         ({"stage": {"rise_m": math.nan, "disturbance_level": 0.0}}, "nan is not from 0 to 0.15"),
         ({"stage": {"rise_m": 0.2, "disturbance_level": 0.0}}, "0.2 is not from 0 to 0.15"),
         ({"stage": {"rise_m": "high", "disturbance_level": 0.0}}, "is damaged"),
+        ({"blended": math.nan}, "rewards blended by nan"),
+        ({"blended": 1.5}, "rewards blended by 1.5"),
+        ({"blended": "all"}, "is damaged"),
         ({"best_score": [math.nan]}, "a best score of (nan,)"),
         ({"best_score": "good"}, "a best score of"),
     ],
@@ -308,7 +311,7 @@ def test_file_that_is_no_checkpoint_is_refused(saved):
     path.write_bytes(content[: len(content) // 2])
     assert "it is damaged or no checkpoint" in refusal(saved)
     torch.save([1, 2], path)
-    assert "is not a walk-training/3 checkpoint" in refusal(saved)
+    assert "is not a walk-training/4 checkpoint" in refusal(saved)
     path.unlink()
     assert "no checkpoint.pt" in refusal(saved)
 

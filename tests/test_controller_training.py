@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from controller.assessment import assess_mode
+from controller.assessment import ModeResult, assess_mode, score
 from controller.curriculum import Curriculum, Stage
 from controller.env import TaskConfig, WalkTask
 from controller.observation import critic_fields, mirror_map, policy_fields
@@ -326,3 +326,28 @@ def test_episodes_take_steps_of_drawn_durations_and_stairs_none_too_quick():
     own = WalkTask(ROBOT, count=8, seed=2, config=TaskConfig(paced_share=0.0))
     own.walker.cursor.entry[:] = 2
     assert own.walker.cursor.step_s == pytest.approx(np.full((8, 2), 1.1))
+
+
+def result_with(falls: int, strayed: int = 0) -> ModeResult:
+    none = np.zeros(0)
+    return ModeResult(
+        mode="mixed",
+        episodes=43,
+        falls=falls,
+        strayed=strayed,
+        episode_ticks=np.full(43, 400),
+        landing_error_m=none,
+        landing_heading_error_rad=none,
+        landing_offset_m=np.zeros((0, 2)),
+    )
+
+
+def test_the_best_policy_climbs_highest_then_fails_least_then_walks_best():
+    """One failure of 43 is chance: it is the reward that tells; two are not."""
+    low, high = Stage(rise_m=0.10), Stage(rise_m=0.15)
+    none, one, two = (result_with(0),), (result_with(1),), (result_with(1, strayed=1),)
+    assert score(high, two, 0.1) > score(low, none, 0.9)
+    assert score(high, one, 0.1) > score(high, two, 0.9)
+    assert score(high, one, 0.8) > score(high, none, 0.7) > score(high, one, 0.6)
+    # Each assessment has its own: one failure on flat ground and one on stairs are both chance.
+    assert score(high, (*one, *one), 0.8) > score(high, (*none, *two), 0.9)

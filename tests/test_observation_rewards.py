@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -327,14 +328,22 @@ def test_landing_speed_is_seen_between_two_control_steps():
     assert max(overspeed_m_s) == pytest.approx(fallen_m_s - ri.TOUCHDOWN_M_S, abs=0.1)
 
 
-def test_a_schedule_goes_from_one_reward_to_the_other():
+def test_a_schedule_goes_from_one_reward_to_the_other_once_the_robot_walks():
     schedule = r.RewardSchedule(
-        first={"height": 1.0}, last={"height": 0.5, "power": 0.5}, blend=(0.2, 0.4)
+        first={"height": 1.0}, last={"height": 0.5, "power": 0.5}, blend_share=0.2
     )
-    assert schedule.at(0.0) == schedule.at(0.2) == {"height": 1.0}
-    assert schedule.at(0.3) == pytest.approx({"height": 0.75, "power": 0.25})
-    assert schedule.at(0.4) == schedule.at(1.0) == {"height": 0.5, "power": 0.5}
-    assert [schedule.progress(share) for share in (0.1, 0.25, 0.9)] == pytest.approx([0, 0.25, 1])
+    assert schedule.at(0.0) == {"height": 1.0}
+    assert schedule.at(0.5) == pytest.approx({"height": 0.75, "power": 0.25})
+    assert schedule.at(1.0) == {"height": 0.5, "power": 0.5}
+
+    def after(blended, success, error_m):
+        return schedule.after(blended, share=0.1, success=success, error_m=error_m)
+
+    for success, error_m in ((0.94, 0.01), (1.0, 0.05), (1.0, math.nan)):  # not yet
+        assert after(0.0, success, error_m) == 0.0
+    assert after(0.0, 0.95, 0.04) == pytest.approx(0.5)
+    # Once begun it goes on, whatever becomes of the walk meanwhile, and ends.
+    assert after(0.5, 0.2, math.nan) == after(1.0, 0.2, math.nan) == 1.0
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])

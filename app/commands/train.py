@@ -277,9 +277,10 @@ def progress_line(report: SegmentReport) -> str:
     if report.stairs:
         shares = " / ".join(f"{100 * result.success:.0f}" for result in report.stairs)
         stairs = f" | stairs of {100 * report.stage.rise_m:.1f} cm, plain / rough: {shares} %"
+    warm_up = "" if report.blended == 1 else f", {100 * (1 - report.blended):.0f} % warm-up"
     return (
         f"{report.samples_per_s:.0f} samples/s, "
-        f"{report.seconds_left / 60:3.0f} min left | reward {report.reward:.3f} | "
+        f"{report.seconds_left / 60:3.0f} min left | reward {report.reward:.3f}{warm_up} | "
         f"held out: {result['falls']} of {result['episodes']} fell, feet "
         f"{100 * float(result['error_m_median']):.1f} cm median, "
         f"{100 * float(result['error_m_p95']):.1f} cm p95"
