@@ -23,7 +23,7 @@ from planner.compiled import FUNCTIONS, on_compiling
 from planner.heuristics.distance_field import path_toward
 from planner.heuristics.potential import build_potential
 from planner.lattice.goal_region import POINT, ends_in, last_foot
-from planner.lattice.lattice import build_lattice, node_poses
+from planner.lattice.lattice import build_lattice
 from planner.lattice.steps import build_step_table
 from planner.options import SAMPLING_PLANNERS, PlannerOptions
 from planner.planner import Planner
@@ -152,7 +152,6 @@ def compile_parts(model: StepModel, options: PlannerOptions) -> None:
     if options.name not in SAMPLING_PLANNERS:
         path_toward(lattice, build_potential(model, steps), lattice.goal_cell)
         ends = ends_in(lattice, POINT)
-        node_poses(lattice, ends)
         last_foot(lattice, int(ends[0]))
     if options.refine:
         compile_refinement(lattice, model)

@@ -183,7 +183,6 @@ def zeros(count: int, dtype: DTypeLike) -> NDArray[Any]:
     return np.frombuffer(memory, dtype)
 
 
-@njit_arrays
 def with_room(array: NDArray[_Scalar], used: int, more: int) -> NDArray[_Scalar]:
     """The array, or a longer one that begins with the first `used`, so that as many more fit."""
     if used + more <= len(array):

@@ -122,7 +122,7 @@ def test_lean_functions_neither_give_back_arrays_nor_take_any_from_others():
     functions = compiled_functions(BOTH[0])
     assert len(functions) > 50
     giving = {f.name for f in compiled_functions(BOTH[1]) if not is_plain(f)}
-    assert "with_room" in giving
+    assert "trace" in giving
     for function in functions:
         assert is_plain(function), function.name
         assert not names_in(function) & giving, function.name

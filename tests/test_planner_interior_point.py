@@ -149,7 +149,7 @@ def test_the_banded_system_is_solved_as_a_dense_one():
     for i in range(len(workspace.value)):
         along = rng.normal(size=6)
         workspace.block[:] = 0.0
-        add(workspace.block, 2.0, along[None, None], 0, 0, 3.0)
+        add(workspace.block, 2.0, along, 3.0)
         add_block(workspace.block, i, workspace.matrix, workspace.right)
         whole = np.zeros(size + 6)
         whole[3 * i : 3 * i + 6] = along

@@ -54,6 +54,12 @@ class Potential:
     move_um: IntArray
     reach_m: float
 
+    @property
+    def straight_um(self) -> tuple[int, int, int]:
+        """What moves along an axis, along a diagonal and between the two cost."""
+        level_um, diagonal_um, knight_um = np.unique(self.move_um).tolist()
+        return level_um, diagonal_um, knight_um
+
     def cell_offsets(self, cols: int) -> IntArray:
         """The body's cell from a foot's cell (2 H,) as cell numbers of a lattice of cols."""
         return self.body_cell[:, 1] * cols + self.body_cell[:, 0]
@@ -77,6 +83,16 @@ def grid_length(cols: ArrayLike, rows: ArrayLike) -> FloatArray:
     flat = near * np.sqrt(5) + (far - 2 * near)
     steep = (far - near) * np.sqrt(5) + (2 * near - far) * np.sqrt(2)
     return np.where(2 * near <= far, flat, steep)
+
+
+def straight_cost(
+    cols: IntArray, rows: IntArray, level_um: int, diagonal_um: int, knight_um: int
+) -> IntArray:
+    """Cost (...) in micrometres of that path, by the cost of its moves."""
+    far, near = np.maximum(abs(cols), abs(rows)), np.minimum(abs(cols), abs(rows))
+    flat = near * knight_um + (far - 2 * near) * level_um
+    steep = (far - near) * knight_um + (2 * near - far) * diagonal_um
+    return np.where(2 * near <= far, flat, steep).astype(np.int64)
 
 
 def build_potential(model: StepModel, table: StepTable) -> Potential:

@@ -28,7 +28,7 @@ from planner.heuristics.goal_table import (
     least_step,
     longest_move,
 )
-from planner.heuristics.potential import Potential, grid_length
+from planner.heuristics.potential import Potential, grid_length, straight_cost
 from planner.lattice.steps import IntArray, StepTable
 
 SECTORS = 16
@@ -63,7 +63,7 @@ def build_exit_table(table: StepTable, potential: Potential) -> ExitTable:
     on_rim = (length > _RADIUS_CELLS) & (np.maximum(abs(col), abs(row)) <= _RADIUS_CELLS + hop)
     angle = np.arctan2(row, col) / (2 * np.pi) % 1.0
     sector = np.where(on_rim, np.floor(angle * SECTORS).astype(np.int64) % SECTORS, -1)
-    straight_um = straight_cost(col, row, potential)
+    straight_um = straight_cost(col, row, *potential.straight_um)
     turn_um = np.empty((len(potential.body_cell), SECTORS), np.int64)
     steps = backward_steps(table)
     for number in range(SECTORS):
@@ -81,15 +81,6 @@ def build_exit_table(table: StepTable, potential: Potential) -> ExitTable:
     rim = np.column_stack([v[on_rim] for v in (col, row, sector, straight_um)])
     ring = rim[length[on_rim] <= _RADIUS_CELLS + _RING_CELLS]
     return ExitTable(turn_um=turn_um, rim=rim, ring=ring, radius_cells=_RADIUS_CELLS)
-
-
-def straight_cost(cols: IntArray, rows: IntArray, potential: Potential) -> IntArray:
-    """Cost (...) in micrometres of the shortest 16-neighbour path over free cells."""
-    far, near = np.maximum(abs(cols), abs(rows)), np.minimum(abs(cols), abs(rows))
-    level_um, diagonal_um, knight_um = (int(v) for v in np.unique(potential.move_um))
-    flat = near * knight_um + (far - 2 * near) * level_um
-    steep = (far - near) * knight_um + (2 * near - far) * diagonal_um
-    return np.where(2 * near <= far, flat, steep).astype(np.int64)
 
 
 @njit_no_refcount
@@ -252,7 +243,7 @@ def _arrivals(potential: Potential, goal_table: GoalTable, aligned_um: int) -> I
     col, row = np.meshgrid(cells, cells)
     toward = np.rint(np.arctan2(-row, -col) / (2 * np.pi) * headings).astype(np.int64) % headings
     sides = [_costs_at(potential, goal_table, col, row, 2 * toward + side) for side in range(2)]
-    straight_um = straight_cost(col, row, potential)
+    straight_um = straight_cost(col, row, *potential.straight_um)
     arrive_um = np.minimum(*sides) - straight_um - aligned_um
     return np.maximum(arrive_um, 0)
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.collision import Terrain, clearance_at, point_clearance
-from planner.compiled import njit_arrays, njit_inner, njit_no_refcount, with_room
-from planner.heuristics.potential import MOVES, Potential
+from planner.compiled import njit_inner, njit_no_refcount, with_room
+from planner.heuristics.potential import MOVES, Potential, straight_cost
 from planner.lattice.lattice import Int64s, Lattice, out_of_frame
 from planner.time_limit import check_time
 
@@ -84,20 +84,21 @@ def straight_um(ahead: StraightCost, col: int, row: int) -> int:
     return max(cost - ahead.slack_um, 0)
 
 
-@njit_arrays
 def all_straight_um(ahead: StraightCost, cols: int, cells: Int64s) -> Int64s:
-    """`straight_um` of cells (n,)."""
-    values_um = np.empty(len(cells), np.int64)
-    for i in range(len(cells)):
-        values_um[i] = straight_um(ahead, cells[i] % cols, cells[i] // cols)
-    return values_um
+    """`straight_um` of cells (n,).
+
+    Not compiled: it is asked for few cells, and would take longer to load.
+    """
+    row, col = np.divmod(cells, cols)
+    moves_um = ahead.level_um, ahead.diagonal_um, ahead.knight_um
+    cost_um = straight_cost(col - ahead.col, row - ahead.row, *moves_um)
+    return np.maximum(cost_um - ahead.slack_um, 0)
 
 
 def straight_to(lattice: Lattice, potential: Potential, cells: Int64s) -> StraightCost:
     """Lower bound on the straight path to the nearest of some cells (n,)."""
     col, row = (int(v.min() + v.max()) // 2 for v in (cells % lattice.cols, cells // lattice.cols))
-    level_um, diagonal_um, knight_um = sorted(set(potential.move_um.tolist()))
-    ahead = StraightCost(col, row, level_um, diagonal_um, knight_um, 0)
+    ahead = StraightCost(col, row, *potential.straight_um, 0)
     # By how much the straight path to one of the cells may be shorter than that to their middle.
     return ahead._replace(slack_um=int(all_straight_um(ahead, lattice.cols, cells).max()))
 

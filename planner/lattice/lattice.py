@@ -27,7 +27,6 @@ from planner.collision import (
 )
 from planner.compiled import (
     Slots,
-    njit_arrays,
     njit_inner,
     njit_no_refcount,
     slot_of,
@@ -226,14 +225,15 @@ def node_pose(lattice: Lattice, node: int) -> tuple[float, float, float]:
     return col * lattice.cell_m, y, heading * (2.0 * math.pi / lattice.headings)
 
 
-@njit_arrays
 def node_poses(lattice: Lattice, nodes: Int64s) -> Floats:
-    """`node_pose` (n, 3) of nodes (n,)."""
-    poses = np.empty((len(nodes), 3))
-    for i in range(len(nodes)):
-        # A row assigned as a whole would bring along, compiled, the text of an error.
-        poses[i, 0], poses[i, 1], poses[i, 2] = node_pose(lattice, nodes[i])
-    return poses
+    """`node_pose` (n, 3) of nodes (n,).
+
+    Not compiled: it is asked for once a plan, and would take longer to load.
+    """
+    up, across = np.divmod(nodes // (2 * lattice.headings), lattice.cols)
+    y = (up - lattice.origin_row) * lattice.cell_m + (1 - 2 * (nodes & 1)) * lattice.half_stance_m
+    yaw = (nodes >> 1) % lattice.headings * (2.0 * math.pi / lattice.headings)
+    return np.column_stack([(across - lattice.origin_col) * lattice.cell_m, y, yaw])
 
 
 @njit_inner

@@ -246,7 +246,7 @@ class Workspace(NamedTuple):
     (N - 1, R, 2): Newton step of slack and multiplier. step (N - 1, 3, 7): derivatives of each
     step's x, y and yaw by both poses, and their values. matrix (3 (N - 2), BAND), right
     (3 (N - 2),): the banded system. Scratch: distances (DIRECTIONS, 4); block (6, 7): Hessian and
-    negative gradient by the two poses of one step; along (1, 1, 6).
+    negative gradient by the two poses of one step; along (6,).
     """
 
     value: FloatArray
@@ -281,7 +281,7 @@ def new_workspace(lattice: Lattice, steps: int, edges: int) -> Workspace:
         np.zeros(free),
         np.zeros((DIRECTIONS, 4)),
         np.zeros((6, 7)),
-        np.zeros((1, 1, 6)),
+        np.zeros(6),
     )
 
 

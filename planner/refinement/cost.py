@@ -214,15 +214,12 @@ def plan_cost_um(problem: RefinementProblem, poses: FloatArray, first_outward: f
 
 
 @njit_inner
-def add(
-    block: FloatArray, curvature: float, gradient: FloatArray, i: int, row: int, multiplier: float
-) -> None:
-    """Adds curvature * v * v^T and multiplier * v to a block (6, 7), with v = gradient[i, row]."""
+def add(block: FloatArray, curvature: float, v: FloatArray, multiplier: float) -> None:
+    """Adds curvature * v * v^T and multiplier * v to a block (6, 7), with the first six of v."""
     for a in range(6):
-        along = gradient[i, row, a]
-        block[a, 6] += multiplier * along
+        block[a, 6] += multiplier * v[a]
         for b in range(6):
-            block[a, b] += curvature * along * gradient[i, row, b]
+            block[a, b] += curvature * v[a] * v[b]
 
 
 @njit_inner
@@ -237,7 +234,7 @@ def add_step_cost(
 
     |t| is taken as sqrt(t^2 + _CORNER_M^2), with the curvature of the parabola that touches it from
     above there: the true one is too small away from 0, so a Newton step would go too far. along
-    (1, 1, 6) is scratch.
+    (6,) is scratch.
     """
     stance, per_step, per_turn, per_side, per_back = weights
     x, y, yaw = step[i, 0, 6], step[i, 1, 6], step[i, 2, 6]
@@ -245,23 +242,23 @@ def add_step_cost(
     # Along and across the step: turning the support foot changes no distance.
     u, v = x / max(length, _CORNER_M), y / max(length, _CORNER_M)
     for k in range(6):
-        along[0, 0, k] = u * step[i, 0, k] + v * step[i, 1, k]
-    add(block, 0.0, along, 0, 0, -1.0)
+        along[k] = u * step[i, 0, k] + v * step[i, 1, k]
+    add(block, 0.0, along, -1.0)
     for k in range(6):
-        along[0, 0, k] = v * step[i, 0, k] - u * step[i, 1, k]
-    along[0, 0, 2] = along[0, 0, 5] = 0.0
-    add(block, 1.0 / max(length, _CORNER_M), along, 0, 0, 0.0)
+        along[k] = v * step[i, 0, k] - u * step[i, 1, k]
+    along[2] = along[5] = 0.0
+    add(block, 1.0 / max(length, _CORNER_M), along, 0.0)
     if per_turn > 0.0:
         size = math.sqrt(yaw * yaw + _CORNER_M * _CORNER_M)
-        add(block, per_turn / size, step, i, 2, -per_turn * yaw / size)
+        add(block, per_turn / size, step[i, 2], -per_turn * yaw / size)
     if per_side > 0.0:
         off = y - stance
         size = math.sqrt(off * off + _CORNER_M * _CORNER_M)
-        add(block, per_side / size, step, i, 1, -per_side * off / size)
+        add(block, per_side / size, step[i, 1], -per_side * off / size)
     if per_back > 0.0:
         # max(-x, 0) is (|x| - x) / 2.
         size = math.sqrt(x * x + _CORNER_M * _CORNER_M)
-        add(block, 0.5 * per_back / size, step, i, 0, -0.5 * per_back * (x / size - 1.0))
+        add(block, 0.5 * per_back / size, step[i, 0], -0.5 * per_back * (x / size - 1.0))
     cost_m = length + per_step + per_turn * abs(yaw) + per_side * abs(y - stance)
     return cost_m + per_back * max(-x, 0.0)
 
@@ -292,9 +289,9 @@ def add_clearance_cost(
         more = rate * max(wanted_m - _smooth(field, size, x + step_x, y + step_y), 0.0)
         less = rate * max(wanted_m - _smooth(field, size, x - step_x, y - step_y), 0.0)
         along[:] = 0.0
-        along[0, 0, axis] = along[0, 0, axis + 3] = 0.5
+        along[axis] = along[axis + 3] = 0.5
         curvature = max((more - 2.0 * here + less) / (_HINGE_M * _HINGE_M), 0.0)
-        add(block, curvature, along, 0, 0, -(more - less) / (2.0 * _HINGE_M))
+        add(block, curvature, along, -(more - less) / (2.0 * _HINGE_M))
     short_m = wanted_m - point_clearance(terrain, x, y)
     return most_um / MICRO * min(max(short_m / (wanted_m - worst_m), 0.0), 1.0)
 

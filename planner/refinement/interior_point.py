@@ -123,7 +123,7 @@ def _build(
                 multiplier[i, row] = mu / slack[i, row]
             curvature = multiplier[i, row] / slack[i, row]
             pull = mu / slack[i, row] - curvature * (value[i, row] - slack[i, row])
-            add(block, curvature, gradient, i, row, pull)
+            add(block, curvature, gradient[i, row], pull)
         add_block(block, i, matrix, right)
     return worst, cost_m
 

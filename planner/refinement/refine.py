@@ -80,7 +80,9 @@ def refine(request: Request, result: Result) -> Result:
     # The goal feet are the same to the bit.
     goals = {int(s): p for s, p in zip(result.side[-2:], result.pose_lattice[-2:], strict=True)}
     pose_lattice[-2:] = [goals[int(s)] for s in side[-2:]]
-    height_um = np.array([foot_height_um(lattice, pose) for pose in found[1:]])
+    height_um = np.zeros(len(side))
+    if not lattice.terrain.is_flat:
+        height_um[:] = [foot_height_um(lattice, pose) for pose in found[1:]]
     return replace(
         result,
         side=side,

@@ -14,6 +14,7 @@ from planner.compiled import (
     BITS,
     njit_arrays,
     njit_inner,
+    njit_inner_arrays,
     njit_no_refcount,
     slot_of,
     take_slot,
@@ -52,6 +53,7 @@ from planner.search.best_first import (
 Nodes = NDArray[np.int32]
 _MARK = 255  # of `Tree.closed_in`: no iteration has this number
 _NOT_ALLOWED = -1
+_with_room = njit_inner_arrays(with_room)
 
 
 @njit_arrays
@@ -181,7 +183,7 @@ def remove_invalid(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> No
             known: int = np.int64(tree.cost_um[slot])  # type: ignore[assignment]
             if known == 0 or _is_still_reached(lattice, tree, node, known):
                 continue
-            removed = with_room(removed, number, 1)
+            removed = _with_room(removed, number, 1)
             removed[number] = node
             number += 1
             tree.cost_um[slot] = 0
@@ -196,7 +198,7 @@ def remove_invalid(lattice: Lattice, tree: Tree, cells: NDArray[np.int64]) -> No
             if tree.steps[row, k, COST_UM] == 0 or tree.cost_um[slot] == 0:
                 continue
             if tree.parent[slot] == node:
-                removed = with_room(removed, number, 1)
+                removed = _with_room(removed, number, 1)
                 removed[number] = to
                 number += 1
                 tree.cost_um[slot] = 0
@@ -250,7 +252,7 @@ def nodes_to_reopen(
             ):
                 continue
             tree.closed_in[slot] = _MARK
-            found = with_room(found, number, 1)
+            found = _with_room(found, number, 1)
             found[number] = near
             number += 1
     for i in range(len(cells)):
@@ -261,7 +263,7 @@ def nodes_to_reopen(
                 continue
             if _can_lower_successor(lattice, tree, node, tree.cost_um[slot]):
                 tree.closed_in[slot] = _MARK
-                found = with_room(found, number, 1)
+                found = _with_room(found, number, 1)
                 found[number] = node
                 number += 1
     for i in range(number):

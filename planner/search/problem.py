@@ -27,7 +27,7 @@ from planner.heuristics.heuristic import (
     heuristic_toward_region,
     simpler_heuristic,
 )
-from planner.heuristics.turning import straight_cost
+from planner.heuristics.potential import straight_cost
 from planner.lattice.first_steps import first_steps
 from planner.lattice.goal_region import POINT, GoalRegion, ends_in, last_foot
 from planner.lattice.lattice import Int64s, Lattice, node_poses, reversed_steps
@@ -164,7 +164,7 @@ class Request:
         cells = self.context.body_cells(nodes)
         across = cells % lattice.cols - lattice.origin_col
         up = cells // lattice.cols - lattice.origin_row
-        straight_um = straight_cost(across, up, self.context.tables.potential)
+        straight_um = straight_cost(across, up, *self.context.tables.potential.straight_um)
         return int((costs_um + straight_um + self.context.potentials_um(nodes)).min())
 
     def heuristic_bound(self, heuristic: Heuristic | None = None) -> int:

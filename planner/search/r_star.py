@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from planner.heuristics.heuristic import heuristic_by_path
-from planner.heuristics.turning import straight_cost
+from planner.heuristics.potential import straight_cost
 from planner.heuristics.wavefront import NO_COST_AHEAD, cell_shut, moves_of, propagate
 from planner.lattice.lattice import Int64s
 from planner.lattice.steps import final_cost_um
@@ -116,7 +116,7 @@ class SparseSearch:
 
     def _straight_um(self, at: Int64s, to: Int64s) -> int:
         potential = self.request.context.tables.potential
-        return int(straight_cost(to[0] - at[0], to[1] - at[1], potential))
+        return int(straight_cost(to[0] - at[0], to[1] - at[1], *potential.straight_um))
 
     def _add(self, at: Int64s, *, parent: int, cost_um: int, is_goal: bool = False) -> None:
         ahead_um = 0 if is_goal else self._straight_um(at, self._goal_at)
