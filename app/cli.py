@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import gc
 import importlib
 import os
 import signal
@@ -20,6 +21,9 @@ from app.output import ExitCode, InputError, one_line, release_folders, told_by_
 from maps.yaml_files import YamlFileError
 
 PROGRAM = "python main.py"
+# Loading and compiling make objects by the hundred thousand that stay; to look through them for
+# garbage as often as Python does by itself took a tenth of the time of loading.
+_COLLECTED_EVERY = 50_000, 20, 20
 # What the system says of a full disk, and of a path that it refuses whatever is done with it.
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _REFUSED = {
@@ -129,6 +133,7 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
     error. Anything else that is raised is a fault of the program and keeps its traceback.
     """
     _open_streams()
+    gc.set_threshold(*_COLLECTED_EVERY)
     stops: list[type[KeyboardInterrupt]] = []
     try:
         with _warnings_in_one_line(), _stoppable(stops), contextlib.ExitStack() as at_end:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import pickle
 import signal
@@ -99,7 +100,7 @@ def _beside(
         with contextlib.suppress(OSError), process:
             assert process.stdin is not None
             assert process.stdout is not None
-            pickle.dump(sys.path, process.stdin)
+            pickle.dump((sys.path, gc.get_threshold()), process.stdin)
             pickle.dump((model, options), process.stdin)
             process.stdin.close()
             for line in process.stdout:
@@ -116,8 +117,9 @@ def _beside(
 
 # Where no package of this project may be importable before its path is known.
 _BESIDE = """
-import pickle, sys
-sys.path[:] = pickle.load(sys.stdin.buffer)
+import gc, pickle, sys
+sys.path[:], threshold = pickle.load(sys.stdin.buffer)
+gc.set_threshold(*threshold)
 from planner.compilation import compile_beside
 compile_beside(*pickle.load(sys.stdin.buffer))
 """
