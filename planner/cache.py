@@ -19,7 +19,7 @@ import warnings
 from functools import lru_cache
 from pathlib import Path
 
-_SOURCES = Path(__file__).parent
+SOURCES = Path(__file__).parent
 _PREFIX = "numba-"
 _STALE_S = 24 * 3600.0
 _ASKED_FOR = "NUMBA_CACHE_DIR"
@@ -29,7 +29,7 @@ _ASKED_FOR = "NUMBA_CACHE_DIR"
 def source_digest() -> str:
     """Twelve hexadecimal digits that tell this state of the package's sources from all others."""
     digest = hashlib.sha256()
-    for source in sorted(_SOURCES.rglob("*.py")):
+    for source in sorted(SOURCES.rglob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:12]
 
@@ -63,7 +63,7 @@ def _places() -> list[Path]:
     """Where caches may lie, the best place first."""
     asked_for = os.environ.get(_ASKED_FOR)
     places = [Path(asked_for).absolute()] if asked_for else []
-    places.append(_SOURCES / "__pycache__")
+    places.append(SOURCES / "__pycache__")
     with contextlib.suppress(RuntimeError):  # nobody's home is known
         caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
         places.append(Path(caches) / "footfall")

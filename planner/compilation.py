@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import hashlib
 import os
 import pickle
 import signal
@@ -13,12 +14,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import llvmlite.binding as llvm
+import numba
 import numpy as np
 
 from maps.grid import OccupancyGrid
-from planner.cache import cache_folder
+from planner.cache import SOURCES, cache_folder
 from planner.collision import terrain_of
 from planner.compiled import FUNCTIONS, on_compiling
 from planner.heuristics.distance_field import path_toward
@@ -50,7 +54,7 @@ def compile_ahead(
     if folder is None:
         return 0.0
     # The robot's tables are arrays of the same types for every robot.
-    done = folder / f"compiled-{options.name}"
+    done = folder / f"compiled-{options.name}-{numba_takes(SOURCES)}"
     if done.exists():
         return 0.0
     began = time.perf_counter()
@@ -74,6 +78,17 @@ def compile_ahead(
     with contextlib.suppress(OSError):
         done.touch()
     return time.perf_counter() - began
+
+
+def numba_takes(sources: Path) -> str:
+    """Twelve hexadecimal digits for all that numba goes by when it takes code from its cache.
+
+    That is versions, the processor, and path and age of the sources: a cache that was copied along
+    with its sources holds nothing for it.
+    """
+    files = [(str(file), file.stat().st_mtime_ns) for file in sorted(sources.rglob("*.py"))]
+    taken = numba.__version__, sys.implementation.cache_tag, llvm.get_host_cpu_name(), files
+    return hashlib.sha256(repr(taken).encode()).hexdigest()[:12]
 
 
 @contextlib.contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import subprocess
 import sys
 
@@ -52,4 +54,19 @@ def test_it_tells_how_far_it_is_and_is_done_once(tmp_path, monkeypatch, cores):
     assert set(functions) == {done[-1]}
     assert names[-1] == ""
     assert done.count(done[-1]) == 1
-    assert [path.name for path in tmp_path.iterdir()] == [f"compiled-{PlannerOptions().name}"]
+    assert [path.name[:13] for path in tmp_path.iterdir()] == [f"compiled-{PlannerOptions().name}-"]
+
+
+def test_copied_and_newer_sources_are_told_apart(tmp_path):
+    here, copy = tmp_path / "here", tmp_path / "copy"
+    here.mkdir()
+    source = here / "search.py"
+    source.write_text("pass\n")
+    shutil.copytree(here, copy)
+    taken, age_ns = compilation.numba_takes(here), source.stat().st_mtime_ns
+    assert compilation.numba_takes(copy) != taken
+    os.utime(source, (1, 1))
+    assert compilation.numba_takes(here) != taken
+    (here / "notes.txt").touch()
+    os.utime(source, ns=(age_ns, age_ns))
+    assert compilation.numba_takes(here) == taken
