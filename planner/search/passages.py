@@ -120,9 +120,9 @@ def _widest_way(
     """
     rows, cols = clearance_m.shape
     parent = np.full(rows * cols, -1, np.int32)
-    stacks = np.empty((2, rows * cols + 1), np.int32)
+    queues = np.empty((2, rows * cols + 1), np.int32)
     first, last = start[0] * cols + start[1], goal[0] * cols + goal[1]
-    _flood_widest(clearance_m.reshape(-1), cols, low_m, high_m, first, parent, stacks)
+    _flood_widest(clearance_m.reshape(-1), cols, low_m, high_m, first, parent, queues)
     way = [last]
     while way[-1] != first:
         way.append(int(parent[way[-1]]))
@@ -137,21 +137,22 @@ def _flood_widest(
     high_m: float,
     first: int,
     parent: NDArray[np.int32],
-    stacks: NDArray[np.int32],
+    queues: NDArray[np.int32],
 ) -> None:
     """Fills in the parents, -1 where none leads, by 0-1 breadth-first search: narrow cells cost 1.
 
-    The field's outermost cells count as no ground to go on.
+    Cells of one cost in the order in which they were come to, lest the way winds through all of a
+    hall. The field's outermost cells count as no ground to go on.
     """
     rows = len(clearance_m) // cols
     parent[first] = first
-    stacks[0, 0] = first
+    queues[0, 0] = first
     now, size = 0, 1
     while size > 0:
-        later = 0
-        while size > 0:
-            size -= 1
-            cell: int = np.int64(stacks[now, size])  # type: ignore[assignment]
+        at = later = 0
+        while at < size:
+            cell: int = np.int64(queues[now, at])  # type: ignore[assignment]
+            at += 1
             row, col = cell // cols, cell % cols
             if row == 0 or col == 0 or row == rows - 1 or col == cols - 1:
                 continue
@@ -161,10 +162,10 @@ def _flood_widest(
                     continue
                 parent[to] = cell
                 if clearance_m[to] > high_m:
-                    stacks[now, size] = to
+                    queues[now, size] = to
                     size += 1
                 else:
-                    stacks[1 - now, later] = to
+                    queues[1 - now, later] = to
                     later += 1
         now, size = 1 - now, later
 
