@@ -65,7 +65,7 @@ def moved_within(limits: StepLimits, step: np.ndarray, move_m: np.ndarray) -> np
 def step_change(walker: Walker, rows: np.ndarray | None = None) -> StepChange:
     """What the present steps of a walker's robots `rows` (n,) need, by centre of mass and soles.
 
-    By default all robots.
+    By default all robots. A step captures from `loading_ticks` after touch-down on.
     """
     robot, cursor = walker.robot, walker.cursor
     limits, foot = robot.training_model.limits, robot.step_model.foot
@@ -87,19 +87,20 @@ def step_change(walker: Walker, rows: np.ndarray | None = None) -> StepChange:
     half_m = np.array([foot.length_m, foot.width_m]) / 2
 
     swing_ticks = cursor.ticks.swing[rows]
-    growth = np.exp(omega * (swing_ticks - tick) * CONTROL_PERIOD_S)
+    loading = walker.loading_ticks
+    growth = np.exp(omega * (swing_ticks + loading - tick) * CONTROL_PERIOD_S)
     missing = _missing_m(capture, step, growth, half_m, robot.steady_pressure_share)
     needed = cursor.swinging[rows] & (tick >= round(FIRST_MOMENTS_S / CONTROL_PERIOD_S))
     needed &= walker.disturbed[rows] & (np.abs(missing).max(axis=1) > LEAST_M)
     most_growth = _most_growth(capture, limits, half_m)
-    latest_tick = tick + np.floor(np.log(most_growth) / omega / CONTROL_PERIOD_S)
+    latest_tick = tick + np.floor(np.log(most_growth) / omega / CONTROL_PERIOD_S) - loading
     first_tick = np.maximum(
         tick + round(SHORTEST_REST_S / CONTROL_PERIOD_S),
         round(SHORTEST_SWING_S / CONTROL_PERIOD_S),
     )
     sooner = np.clip(latest_tick, np.minimum(first_tick, swing_ticks), swing_ticks)
     sooner = np.where(needed, sooner, swing_ticks).astype(np.int64)
-    growth = np.exp(omega * (sooner - tick) * CONTROL_PERIOD_S)
+    growth = np.exp(omega * (sooner + loading - tick) * CONTROL_PERIOD_S)
     missing = _missing_m(capture, step, growth, half_m, PRESSURE_SHARE)
     missing[:, 1] = np.maximum(missing[:, 1], 0.0)
     move = moved_within(limits, step, missing * needed[:, None])

@@ -162,6 +162,13 @@ class StepCursor:
         double = np.rint(self._double[at] * (swing_ticks / self._swing[at])).astype(np.int64)
         self._swing[at], self._double[at] = swing_ticks, np.maximum(double, 1)
 
+    def postpone(self, row: int, ticks: int) -> None:
+        """Let robot `row`, while both its feet are down, lift the next foot so much later."""
+        if self.standing[row]:
+            self._wait[row] += ticks
+        else:
+            self._double[row, self.entry[row]] += ticks
+
     def advance(self) -> np.ndarray:
         """Let one control tick pass; true (B,) where the period of a step has just ended.
 

@@ -52,6 +52,8 @@ class Walker:
     for controllers that have such stages.
     `disturbed` (B,) is whether a robot's steps may change against a push; a controller that can
     tell a push from its own gait clears it, others leave it true.
+    `loading_ticks` is how many control ticks after touch-down a foot bears the weight, where the
+    controller knows.
     `noise` adds to an observation what its sensors err by, which `observe` itself is without.
     `latency_ticks` (B,) in [0, 1] is the delay of the joint targets in control steps;
     `target_rad` (B, J) the targets last asked for, before any delay.
@@ -89,6 +91,7 @@ class Walker:
         self.relaxed: list[dict[str, int]] = [{} for _ in range(count)]
         self.noise: Callable[[np.ndarray], np.ndarray] = lambda observation: observation
         self.disturbed = np.ones(count, dtype=bool)
+        self.loading_ticks = 0
         self.placed = np.zeros(count, dtype=np.int64)
         self.latency_ticks = np.zeros(count)
         self.estimated: RobotState | None = None

@@ -15,14 +15,12 @@ from app.controllers import load_controlled
 from app.navigation.report import NavigationReport
 from app.options import RobotOptions
 from app.output import InputError
-from controller.evaluation.rollouts import chained
 from controller.lipm.admittance import FootAdmittance, sole_wrench, upward_wrenches
-from controller.lipm.controller import Lag, LipmController
+from controller.lipm.controller import LipmController
 from controller.lipm.height import HeightGenerator
 from controller.lipm.pattern import (
     SAMPLE_S,
     SAMPLES,
-    SOLE_SHARE,
     PatternGenerator,
     Pendulum,
     phases_of,
@@ -36,10 +34,8 @@ from controller.lipm.stabilizer import (
 )
 from controller.lipm.swing_foot import has_landed, swing_over
 from controller.lipm.whole_body import LegReach
-from controller.recovery import change_steps, step_change
 from controller.step_cursor import StepSequence, UpcomingSteps
 from controller.walker import Walker
-from planner.robot_model import Side
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
 from tests.programs import ROOM, refusal
@@ -59,7 +55,9 @@ def walked_pattern(feet, steps):
     """The pendulum at the samples of the pattern, from rest midway between the feet."""
     pendulum = Pendulum(com=np.zeros(2), velocity=np.zeros(2), acceleration=np.zeros(2))
     states = []
-    for jerk in PatternGenerator(0.8, HALF_SOLE_M).solve(pendulum, phases_of(feet, steps)):
+    jerks = PatternGenerator(0.8, HALF_SOLE_M).solve(pendulum, phases_of(feet, steps))
+    assert jerks is not None
+    for jerk in jerks:
         pendulum.advance(jerk, SAMPLE_S)
         states.append((pendulum.com, pendulum.velocity, pendulum.acceleration))
     return [np.array(part) for part in zip(*states, strict=True)]
@@ -72,14 +70,14 @@ def test_the_zmp_of_the_pattern_stays_in_the_sole_and_the_pendulum_ends_captured
     single = (time_s >= 0.3) & (time_s < 0.9)
     assert single.sum() == 12
     assert (np.abs(zmp[single] - FEET[0, :2]) <= HALF_SOLE_M).all()
-    # With both feet down it stays between them, on a strip as wide as a sole.
+    # With both feet down it stays on the soles and between them.
     before, after = time_s < 0.3, time_s >= 0.9
     assert before.sum() + after.sum() == len(com) - 12
-    assert (np.abs(zmp[before, 0]) <= HALF_SOLE_M[1] + 1e-9).all()
+    assert (np.abs(zmp[before, 0]) <= HALF_SOLE_M[0] + 1e-9).all()
     assert (np.abs(zmp[before, 1]) <= 0.1 + HALF_SOLE_M[1]).all()
-    # From the left foot at 0, 0.1 to the right one at 0.2, -0.1.
-    off = (zmp[after] - [0.1, 0.0]) @ np.array([1, 1]) / np.sqrt(2)
-    assert (np.abs(off) <= HALF_SOLE_M[1] + 1e-9).all()
+    # From the left foot at 0, 0.1 to the right one at 0.2, -0.1, two corners of each on the edges.
+    off = (zmp[after] - [0.1, 0.0]) @ np.array([1, 1])
+    assert (np.abs(off) <= HALF_SOLE_M.sum() + 1e-9).all()
     middle = [0.1, 0.0]
     np.testing.assert_allclose(com[-1] + velocity[-1] / OMEGA, middle, atol=1e-6)
     np.testing.assert_allclose(zmp[-1], middle, atol=1e-6)
@@ -267,49 +265,6 @@ def test_what_it_cannot_walk_is_one_line():
         load_controlled(RobotOptions(), "lipm", "fast")
 
 
-def test_a_pattern_that_cannot_stay_in_the_sole_is_relaxed_and_counted():
-    pattern = PatternGenerator(0.8, HALF_SOLE_M)
-    pendulum = Pendulum(com=np.zeros(2), velocity=np.array([0.0, 3.0]), acceleration=np.zeros(2))
-    on_one_foot = replace(STEP, lift_off_s=np.array([-0.1]), touch_down_s=np.array([5.0]))
-    jerk = pattern.solve(pendulum, phases_of(FEET, on_one_foot))
-    assert pattern.relaxed == 1
-    zmp = []
-    for each in jerk:
-        pendulum.advance(each, SAMPLE_S)
-        zmp.append(pendulum.com - pendulum.acceleration / OMEGA**2)
-    # It does what it can: the ZMP goes to the outer edge of the foot, and stays there.
-    outer_m = FEET[0, 1] + SOLE_SHARE * HALF_SOLE_M[1]
-    np.testing.assert_allclose(np.array(zmp)[:16], [[0.0, outer_m]] * 16, atol=0.01)
-
-
-def test_the_soles_bear_a_zmp_within_their_hull():
-    """Two soles of 20 by 10 cm, the right one 20 cm ahead and turned by a quarter."""
-    feet = np.array([[0.0, 0.1, 0.0, 0.0], [0.2, -0.1, 0.0, np.pi / 2]])
-    both = phases_of(feet, replace(STEP, lift_off_s=np.array([5.0]), touch_down_s=np.array([6.0])))
-    half_m = HALF_SOLE_M / SOLE_SHARE
-
-    def bears(phase: Any, *point: float) -> bool:
-        normals, offsets = phase.hull(half_m)
-        return bool((normals @ np.array(point) <= offsets + 1e-6).all())
-
-    within = [(-0.1, 0.15), (0.1, 0.15), (0.25, -0.2), (0.15, -0.2), (0.25, 0.0), (0.0, 0.0)]
-    beyond = [(-0.1, 0.16), (0.26, -0.1), (0.14, -0.2), (0.2, 0.1), (-0.05, -0.01)]
-    assert [bears(both[0], *point) for point in within] == [True] * 6
-    assert [bears(both[0], *point) for point in beyond] == [False] * 5
-    assert len(both[0].hull(half_m)[0]) == 6
-    alone = replace(both[0], standing=(False, True))
-    assert bears(alone, 0.25, -0.2)
-    assert not bears(alone, 0.14, -0.1)
-
-
-def test_the_posture_catches_up_with_a_pattern_that_began_anew():
-    lag = Lag(com=np.array([0.05, 0.0]), velocity=np.array([0.0, 0.2]))
-    for _ in range(200):
-        lag.advance(0.005)
-    np.testing.assert_allclose(lag.com, 0.0, atol=1e-3)
-    np.testing.assert_allclose(lag.velocity, 0.0, atol=1e-2)
-
-
 @pytest.mark.parametrize("broken", ["", "limits"])
 def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, broken):
     robot = stiff(get_robot("jvrc1"))
@@ -355,31 +310,6 @@ def test_a_stage_without_a_solution_is_counted_and_ends_the_walk(monkeypatch, br
 def test_what_it_cannot_walk_is_refused_by_every_command(capsys, tmp_path, command, words, told):
     needed = {"serve": [], "evaluate": ["--out", tmp_path], "trials": ["--map", ROOM]}[command]
     assert told in refusal(capsys, command, "--controller", "lipm", *words, *needed)
-
-
-@pytest.mark.slow
-def test_pushed_from_the_left_it_moves_as_the_mirror_image_of_pushed_from_the_right():
-    robot = stiff(get_robot("jvrc1"))
-    scene = build_scene(robot, timestep_s=0.001)
-    walker = Walker(scene, count=2)
-    feet = scene.soles_at(scene.standing_qpos)
-    for row, first in enumerate((Side.LEFT, Side.RIGHT)):
-        walker.place(row, scene.standing_qpos)
-        steps = np.tile((0.2, robot.step_model.stance_width_m, 0.0), (5, 1))
-        walker.follow(row, chained(feet, first, steps), wait_ticks=4)
-    tick, disturbed = LipmController().start(walker), np.zeros(2, dtype=bool)
-    # Outward over the foot that has just begun to stand alone: 12.5 N s.
-    force_n = np.array([[0.0, 125.0, 0.0], [0.0, -125.0, 0.0]])
-    for number in range(120):
-        walker.sim.push(force_n * (70 <= number < 74))
-        tick()
-        change_steps(walker, step_change(walker))
-        disturbed |= walker.disturbed
-        soles = walker.soles_world()
-        np.testing.assert_allclose(soles[1], soles[0, ::-1] * [1, -1, 1, -1], atol=1e-2)
-    assert disturbed.all()
-    assert not walker.fallen().any()
-    assert soles[0, :, 0].min() > 0.3
 
 
 @pytest.mark.slow

@@ -98,6 +98,19 @@ def test_a_step_moves_by_what_the_pendulum_misses_it_by(side, at):
     assert offset == pytest.approx(expected, abs=1e-3)
 
 
+def test_a_foot_that_bears_the_weight_later_lands_where_that_captures():
+    """Four control steps after touch-down: hand-integrated until then."""
+    capture, tick = np.array([0.17, 0.15]), 22
+    walker = swinging(capture, side=Side.LEFT, tick=tick)
+    walker.loading_ticks = 4
+    rest_s = (int(walker.cursor.ticks.swing[0]) + 4 - tick) * CONTROL_PERIOD_S
+    borne = pendulum(capture, PRESSURE_SHARE * HALF_M, rest_s, speed_m_s=np.zeros(2))
+    change = step_change(walker)
+    assert change.swing_ticks[0] == walker.cursor.ticks.swing[0]
+    expected = borne - STEP - CAPTURE_SHARE * HALF_M
+    assert change.offset_world_m[0, 0] == pytest.approx(expected[0], abs=1e-3)
+
+
 @pytest.mark.parametrize("tick", [0, 10, 20, 29])
 def test_a_capture_point_over_the_sole_needs_nothing_however_long_the_swing(tick):
     walker = swinging(np.array([0.0, 0.0]), side=Side.LEFT, tick=tick)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import ClassVar
 
 import mujoco
@@ -17,7 +18,16 @@ from numpy.typing import ArrayLike
 from controller.gait import CONTROL_PERIOD_S
 from controller.lipm.admittance import FootAdmittance, sole_wrench, tilted, upward_wrenches
 from controller.lipm.height import HeightGenerator
-from controller.lipm.pattern import SAMPLE_S, PatternGenerator, Pendulum, StageFailed, phases_of
+from controller.lipm.pattern import (
+    CAUTIOUS_SHARE,
+    INWARD_SHARE,
+    SAMPLE_S,
+    SOLE_SHARE,
+    PatternGenerator,
+    Pendulum,
+    StageFailed,
+    phases_of,
+)
 from controller.lipm.servos import joint_targets, require_pace
 from controller.lipm.stabilizer import DcmFeedback, ForceDistribution, VelocityFilter
 from controller.lipm.swing_foot import SwingFoot, has_landed, swing_over
@@ -30,9 +40,17 @@ from sim.robot import GRAVITY_M_S2, Robot
 from sim.scene import PHYSICS_TIMESTEP_S, Scene, build_scene
 
 PARTS = 5
-# From this error of the DCM on the robot counts as pushed: steps may change, and the pattern begins
-# anew from where the centre of mass is, which the posture follows at this rate.
-PUSHED_M, CATCH_UP_HZ = 0.04, 10.0
+# From this error of the DCM on, ahead or aside, the robot counts as pushed: steps may change, and
+# the pattern begins anew from where the centre of mass is, which the posture follows at this rate.
+# For a `steady_pressure_share` of 1: JVRC-1 is pushed from 4.5 cm ahead or 2.5 cm aside on.
+PUSHED_M, CATCH_UP_HZ = np.array([0.06, 0.033]), 10.0
+# It is so until a foot is lifted with the DCM nearer to the pattern's than this; meanwhile the
+# pattern keeps as near to the robot.
+CALM_M = 0.02
+# By how much later a foot may be lifted, in control ticks.
+WAIT_TICKS = (0, 6, 12, 24)
+# From touch-down until a foot bears the weight.
+LOADING_TICKS = 2
 PART_S = CONTROL_PERIOD_S / PARTS
 REPLAN_PARTS = round(SAMPLE_S / PART_S)
 
@@ -64,6 +82,8 @@ class RobotControl:
         foot = robot.step_model.foot
         half_sole_m = np.array([foot.length_m, foot.width_m]) / 2
         self._pattern = PatternGenerator(self._height_m, half_sole_m)
+        self._inward_m = INWARD_SHARE * half_sole_m[1]
+        self._pushed_m = PUSHED_M * robot.steady_pressure_share
         self._omega = np.sqrt(GRAVITY_M_S2 / self._height_m)
         self._distribution = ForceDistribution(half_sole_m)
         self._pelvis = model.body("pelvis").id
@@ -105,7 +125,7 @@ class RobotControl:
             com=com[:2].copy(), velocity=np.zeros(2), acceleration=np.zeros(2)
         )
         self._lag = Lag(com=np.zeros(2), velocity=np.zeros(2))
-        self.pushed = False
+        self.pushed, self._error_m = False, 0.0
         self._jerk = np.zeros((1, 2))
         self._count = 0
 
@@ -151,11 +171,10 @@ class RobotControl:
         if self._walker.readings is not None:
             soles = self._measured_soles()
             velocity = self._velocity.update(com[:2], velocity, soles, self._borne, PART_S)
-        if self._count % REPLAN_PARTS == 0:
+        if self._is_pushed(com[:2], velocity) or self._count % REPLAN_PARTS == 0:
             self._catch_up(com[:2], velocity)
-            phases = phases_of(self._feet, steps)
-            self._jerk = self._pattern.solve(pendulum, phases)
-            self._height.solve(self._pattern.path(pendulum, self._jerk), phases)
+            self._replan(steps)
+            self._count = 0
         self._count += 1
         reference = pendulum.com, pendulum.velocity, pendulum.acceleration
         pendulum.advance(self._jerk[0], PART_S)
@@ -166,13 +185,46 @@ class RobotControl:
         self._give_way(wrenches)
         return self._joint_targets(wrenches)
 
-    def _catch_up(self, com: np.ndarray, velocity: np.ndarray) -> None:
-        """Begin the pattern anew from where the centre of mass (2,) is, if that is far off."""
+    def _replan(self, steps: UpcomingSteps) -> None:
+        """Choose the pattern's jerk and the height over the steps to come.
+
+        A foot that stands is lifted later where only that lets the centre of mass come to rest.
+        """
+        pattern, pendulum = self._pattern, self._pendulum
+        jerk = None
+        may_wait = len(steps.side) > 0 and steps.lift_off_s[0] > 0
+        for share, wait_ticks in product(
+            (CAUTIOUS_SHARE, SOLE_SHARE), WAIT_TICKS if may_wait else (0,)
+        ):
+            later = _later(steps, -wait_ticks * CONTROL_PERIOD_S)
+            phases = phases_of(self._feet, later, self._inward_m)
+            jerk = pattern.solve(pendulum, phases, share)
+            if jerk is not None:
+                self._walker.cursor.postpone(self._row, wait_ticks)
+                break
+        if jerk is None:
+            self.pushed = True
+            phases = phases_of(self._feet, steps, self._inward_m)
+            jerk = pattern.solve_open_ended(pendulum, phases)
+        self._jerk = jerk
+        self._height.solve(pattern.path(pendulum, jerk), phases)
+
+    def _is_pushed(self, com: np.ndarray, velocity: np.ndarray) -> bool:
+        """Whether a push has just put the DCM, of a centre of mass (2,), far off the pattern's."""
         pendulum = self._pendulum
         error = pendulum.com - com + (pendulum.velocity - velocity) / self._omega
-        if np.linalg.norm(error) < PUSHED_M:
+        self._error_m = float(np.linalg.norm(error))
+        yaw = self._heading_rad
+        ahead_aside = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]]) @ error
+        before = self.pushed
+        self.pushed = before or bool((np.abs(ahead_aside) >= self._pushed_m).any())
+        return self.pushed and not before
+
+    def _catch_up(self, com: np.ndarray, velocity: np.ndarray) -> None:
+        """Begin the pattern of a pushed robot anew from where the centre of mass (2,) is."""
+        if not self.pushed or self._error_m < CALM_M:
             return
-        self.pushed = True
+        pendulum = self._pendulum
         zmp = pendulum.com - pendulum.acceleration / self._omega**2
         self._lag.com = self._lag.com + pendulum.com - com
         self._lag.velocity = self._lag.velocity + pendulum.velocity - velocity
@@ -219,7 +271,6 @@ class RobotControl:
         feet, admittance = self._feet, self._admittance
         soles = feet[:, :3].copy()
         soles[:, 2] += admittance.height_m
-        turn = wrap_angle(feet[1, 3] - feet[0, 3])
         return BodyTargets(
             soles=soles,
             rotations=np.stack(
@@ -230,8 +281,14 @@ class RobotControl:
             ),
             standing=self._standing(),
             com=com,
-            yaw_rad=float(feet[0, 3] + turn / 2),
+            yaw_rad=self._heading_rad,
         )
+
+    @property
+    def _heading_rad(self) -> float:
+        """Midway between the headings of the feet."""
+        left_rad, right_rad = self._feet[:, 3]
+        return float(left_rad + wrap_angle(right_rad - left_rad) / 2)
 
     def _move_swing_foot(self, steps: UpcomingSteps) -> None:
         cursor, row = self._walker.cursor, self._row
@@ -239,7 +296,7 @@ class RobotControl:
         side = int(cursor.side[row])
         if self._swing is None and swinging and not self._landed:
             self._anchor(1 - side)
-            self._swing_side, self.pushed = side, False
+            self._swing_side, self.pushed = side, self.pushed and self._error_m >= CALM_M
             over_z_m = float(cursor.swing_over_z_m[row])
             self._swing = swing_over(self._feet[side].copy(), steps.pose_world[0], over_z_m)
         elif self._landed and not swinging:
@@ -310,6 +367,7 @@ class LipmController:
         # The model of all rows: the robot on a bare floor, whatever there is around the walker's.
         scene = build_scene(walker.robot, timestep_s=PHYSICS_TIMESTEP_S)
         below_m = lowered_m(scene)
+        walker.loading_ticks = LOADING_TICKS
         rows = [RobotControl(walker, row, scene, below_m) for row in range(walker.sim.count)]
         sent = np.tile(walker.robot.half_sitting_rad, (len(rows), 1))
 

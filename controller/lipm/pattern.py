@@ -24,13 +24,15 @@ SAMPLE_S, SAMPLES = 0.05, 32
 # Weights of squared jerk, of squared distance of ZMP and reference, and of what a ZMP is outside
 # its sole by, where it cannot be inside.
 JERK_WEIGHT, ZMP_WEIGHT = 1e-3, 1000.0
-# The ZMP keeps to this share of a sole; the rest is for the feedback.
-SOLE_SHARE = 0.9
+# The ZMP keeps to this share of a sole, and if it can to a smaller one after the first moments: the
+# rest is for the feedback, and for what comes otherwise than planned.
+SOLE_SHARE, CAUTIOUS_SHARE, FIRST_SAMPLES = 0.9, 0.7, 5
 # Before the first step the weight goes over to its support foot within this time.
 SHIFT_S = 0.6
-# In single support the ZMP's reference lies so far inward of the sole's middle: a push outward over
-# the support foot cannot be stepped against, so that side of the sole is kept free for it.
-INWARD_M = 0.015
+# In single support the ZMP's reference lies inward of the sole's middle by this share of its half
+# width: a push outward over the support foot cannot be stepped against, so that side of the sole is
+# kept free for it.
+INWARD_SHARE = 0.5
 # daqp's flags of a solution, and of one that misses soft constraints.
 OPTIMAL, SOFT_OPTIMAL = 1, 2
 # Its marks of a constraint that is an equation, and of one that may be missed at a price far above
@@ -63,29 +65,14 @@ class Phase:
         """Poses (1 or 2, 4) of the feet that stand."""
         return self.feet[list(self.standing)]
 
-    def area(self, half_sole_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A rectangle within the soles and what lies between them.
-
-        Gives the rotation (2, 2) to its axes, its middle (2,) and its half sides (2,). Between two
-        feet it is a strip from one's middle to the other's, beyond which it reaches a little.
-        """
-        narrow_m = SOLE_SHARE * half_sole_m.min()
-        first, last = self.soles[0], self.soles[-1]
-        across = last[:2] - first[:2]
-        length_m = float(np.linalg.norm(across))
-        if length_m < 1e-9:
-            cos, sin = np.cos(first[3]), np.sin(first[3])
-            half_m = SOLE_SHARE * half_sole_m
-        else:
-            cos, sin = across / length_m
-            half_m = np.array([length_m / 2 + narrow_m, narrow_m])
-        return np.array([[cos, sin], [-sin, cos]]), (first + last)[:2] / 2, half_m
-
     def hull(self, half_sole_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """All that the soles can bear: `normals @ point <= offsets`, of shapes (m, 2) and (m,)."""
+        """All that soles of these half sides (2,) can bear: `normals @ point <= offsets`.
+
+        Their shapes are (m, 2) and (m,).
+        """
         cos, sin = np.cos(self.soles[:, 3]), np.sin(self.soles[:, 3])
         turn = np.moveaxis(np.array([[cos, -sin], [sin, cos]]), 2, 0)
-        corners = SOLE_SHARE * half_sole_m * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+        corners = half_sole_m * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
         points = (self.soles[:, None, :2] + corners @ turn.transpose(0, 2, 1)).reshape(-1, 2)
         side = points[None] - points[:, None]
         length_m = np.linalg.norm(side, axis=2)
@@ -96,10 +83,11 @@ class Phase:
         return normals[edges], offsets[edges]
 
 
-def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
+def phases_of(feet_world: np.ndarray, steps: UpcomingSteps, inward_m: float = 0.0) -> list[Phase]:
     """Support phases from now on, of feet (2, 4) that stand and steps to come; the last is endless.
 
-    Of the foot that swings, `feet_world` may hold anything.
+    Of the foot that swings, `feet_world` may hold anything. The ZMP in single support is so far
+    inward of the sole's middle.
     """
     feet = feet_world.copy()
     middle = feet[:, :2].mean(axis=0)
@@ -112,7 +100,7 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
             Phase(begin_s=0.0, end_s=begin_s, zmp_from=middle, zmp_to=middle, feet=feet.copy())
         )
     for k, side in enumerate(steps.side):
-        stance = inward_of(feet[1 - side], 1 - int(side))
+        stance = inward_of(feet[1 - side], 1 - int(side), inward_m)
         lift_off_s, touch_down_s = steps.lift_off_s[k], steps.touch_down_s[k]
         if lift_off_s > 0:
             phases.append(
@@ -143,9 +131,9 @@ def phases_of(feet_world: np.ndarray, steps: UpcomingSteps) -> list[Phase]:
     return [*phases, last, replace(last, begin_s=still_s, end_s=np.inf, zmp_from=middle)]
 
 
-def inward_of(foot: np.ndarray, side: int) -> np.ndarray:
-    """The point x, y (2,) inward of the middle of a foot (4,) that the ZMP has for a reference."""
-    across_m = -INWARD_M if side == Side.LEFT else INWARD_M
+def inward_of(foot: np.ndarray, side: int, inward_m: float) -> np.ndarray:
+    """The point x, y (2,) so far inward of the middle of a foot (4,)."""
+    across_m = -inward_m if side == Side.LEFT else inward_m
     return np.array(foot[:2] + across_m * np.array([-np.sin(foot[3]), np.cos(foot[3])]))
 
 
@@ -231,15 +219,41 @@ class PatternGenerator:
         self._equations = np.kron(np.eye(2), self._end_forced)
         self._open_cost = self._cost + END_WEIGHT * self._equations.T @ self._equations
 
-    def solve(self, pendulum: Pendulum, phases: Sequence[Phase]) -> np.ndarray:
-        """The jerk (SAMPLES, 2) over the horizon.
+    def solve(
+        self, pendulum: Pendulum, phases: Sequence[Phase], share: float = SOLE_SHARE
+    ) -> np.ndarray | None:
+        """The jerk (SAMPLES, 2) over the horizon; None if no ZMP in the soles leads to a rest.
 
-        Where no ZMP there leads to a rest at the end, such as after a push before a step is moved,
-        it goes as far as the soles can bear towards that and leaves the end open.
+        After the first moments it keeps to this share of each sole.
+        """
+        slope, end, rows, upper = self._program(pendulum, phases, share)
+        sense = np.zeros(len(end) + len(upper), np.int32)
+        sense[: len(end)] = EQUATION
+        lower = np.r_[end, np.full(len(upper), -1e30)]
+        rows, upper = np.vstack([self._equations, rows]), np.r_[end, upper]
+        return _minimum(self._cost, slope, rows, upper, lower, sense)
+
+    def solve_open_ended(self, pendulum: Pendulum, phases: Sequence[Phase]) -> np.ndarray:
+        """The jerk (SAMPLES, 2) that goes as far towards a rest as the soles can bear.
+
+        For where none leads to one, such as after a push before a step is moved.
 
         Raises:
             StageFailed: there is none, even so.
         """
+        self.relaxed += 1
+        slope, end, rows, upper = self._program(pendulum, phases, SOLE_SHARE)
+        slope = slope - END_WEIGHT * self._equations.T @ end
+        soft, least = np.full(len(upper), SOFT, np.int32), np.full(len(upper), -1e30)
+        jerk = _minimum(self._open_cost, slope, rows, upper, least, soft)
+        if jerk is None:
+            raise StageFailed("the walking pattern has no solution")
+        return jerk
+
+    def _program(
+        self, pendulum: Pendulum, phases: Sequence[Phase], share: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Slope of the cost, values of the end's equations, and rows and bounds of the hulls."""
         state = np.stack([pendulum.com, pendulum.velocity, pendulum.acceleration])
         times = SAMPLE_S * (np.arange(SAMPLES) + 1)
         at = [phase_at(phases, time) for time in times]
@@ -247,44 +261,21 @@ class PatternGenerator:
         free_zmp = self._zmp_free @ state
         slope = ZMP_WEIGHT * (self._zmp_forced.T @ (free_zmp - reference)).T.ravel()
         end = np.vstack([reference[-1], reference[-1]]) - self._end_free @ state
-        equations = self._equations
-        areas = {id(phase): phase.area(self._half_sole_m) for phase in phases}
-        turn, middle, half_m = map(np.array, zip(*(areas[id(phase)] for phase in at), strict=True))
-        inside = (turn[..., None] * self._zmp_forced[:, None, None]).reshape(-1, 2 * SAMPLES)
-        centre = np.einsum("kij,kj->ki", turn, middle - free_zmp).ravel()
-        bound = half_m.ravel()
-        values = end.T.ravel()
-        rows, sense = np.vstack([equations, inside]), np.zeros(len(values) + len(bound), np.int32)
-        sense[: len(values)] = EQUATION
-        upper, lower = np.r_[values, centre + bound], np.r_[values, centre - bound]
-        jerk = _minimum(self._cost, slope, rows, upper, lower, sense)
-        if jerk is None:
-            self.relaxed += 1
-            slope = slope - END_WEIGHT * equations.T @ values
-            jerk = self._open_ended(slope, free_zmp, at)
-        if jerk is None:
-            raise StageFailed("the walking pattern has no solution")
-        return jerk.reshape(2, SAMPLES).T
+        hulls: dict[tuple[int, float], tuple[np.ndarray, np.ndarray]] = {}
+        rows, upper = [], []
+        for k, phase in enumerate(at):
+            kept = SOLE_SHARE if k < FIRST_SAMPLES else share
+            if (id(phase), kept) not in hulls:
+                hulls[id(phase), kept] = phase.hull(kept * self._half_sole_m)
+            normals, offsets = hulls[id(phase), kept]
+            rows.append((normals[:, :, None] * self._zmp_forced[k]).reshape(len(normals), -1))
+            upper.append(offsets - normals @ free_zmp[k])
+        return slope, end.T.ravel(), np.vstack(rows), np.concatenate(upper)
 
     def path(self, pendulum: Pendulum, jerk: np.ndarray) -> np.ndarray:
         """The centre of mass (SAMPLES, 2) at the samples of a jerk over the horizon."""
         state = np.stack([pendulum.com, pendulum.velocity, pendulum.acceleration])
         return np.asarray(self._com_free @ state + self._com_forced @ jerk)
-
-    def _open_ended(
-        self, slope: np.ndarray, free_zmp: np.ndarray, at: Sequence[Phase]
-    ) -> np.ndarray | None:
-        """The jerk with the ZMP anywhere within the soles of the phases (SAMPLES,)."""
-        hulls = {id(phase): phase.hull(self._half_sole_m) for phase in at}
-        rows, upper = [], []
-        for k, phase in enumerate(at):
-            normals, offsets = hulls[id(phase)]
-            rows.append((normals[:, :, None] * self._zmp_forced[k]).reshape(len(normals), -1))
-            upper.append(offsets - normals @ free_zmp[k])
-        most = np.concatenate(upper)
-        soft = np.full(len(most), SOFT, np.int32)
-        least = np.full(len(most), -1e30)
-        return _minimum(self._open_cost, slope, np.vstack(rows), most, least, soft)
 
 
 def _minimum(
@@ -296,4 +287,4 @@ def _minimum(
     sense: np.ndarray,
 ) -> np.ndarray | None:
     jerk, _, flag, _ = daqp.solve(cost, slope, np.ascontiguousarray(rows), upper, lower, sense)
-    return np.asarray(jerk) if flag in (OPTIMAL, SOFT_OPTIMAL) else None
+    return np.reshape(jerk, (2, SAMPLES)).T if flag in (OPTIMAL, SOFT_OPTIMAL) else None

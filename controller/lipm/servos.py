@@ -20,6 +20,9 @@ from sim.robot import Robot
 # these give the stiff gains of isri-aist/jvrc_mj_description at dae70c0 (pdgains/PDgains_sim.dat):
 # 5000 and 30, 6000 and 50, 3000 and 20 N m/rad and N m s/rad.
 STIFFER = (*((25.0, 1.5),) * 3, (24.0, 2.0), *((37.5, 2.5),) * 2)
+# It tells a push from its own gait, so a step is moved as soon as the pressure would have to be out
+# by this share of what policies of the robot need in undisturbed walks.
+SURE_SHARE = 0.68
 LIBRARIES = ("mink", "daqp")
 
 
@@ -49,7 +52,8 @@ def stiff(robot: Robot) -> Robot:
         replace(joint, kp=joint.kp * kp, kd=joint.kd * kd)
         for joint, (kp, kd) in zip(robot.joints, STIFFER * 2, strict=True)
     )
-    return replace(robot, joints=joints)
+    steady_share = SURE_SHARE * robot.steady_pressure_share
+    return replace(robot, joints=joints, steady_pressure_share=steady_share)
 
 
 def joint_targets(

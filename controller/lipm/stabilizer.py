@@ -28,7 +28,7 @@ WRENCH_WEIGHT, MOMENT_WEIGHT, SHARE_WEIGHT = 10000.0, 100.0, 1.0
 FRICTION = 0.7
 LEAST_FORCE_N = 15.0
 # The pressure keeps to this share of a sole: on its very edge the foot would roll.
-PRESSURE_SHARE = 0.9
+PRESSURE_SHARE = 0.96
 
 
 @dataclass
