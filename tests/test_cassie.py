@@ -193,7 +193,7 @@ def test_meshes_are_mirror_images_and_end_at_the_floor(robot):
     """Left and right of the middle plane; the lowest point of the feet is the sole's."""
     scene = build_scene(robot, timestep_s=0.001, visuals=True)
     model, data = scene.model, state_at(scene, scene.standing_qpos)
-    sides = {"left": [], "right": []}
+    sides: dict[str, list[np.ndarray]] = {"left": [], "right": []}
     for geom in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_MESH):
         side = model.body(model.geom_bodyid[geom]).name.split("_")[0]
         mesh = model.mesh(model.geom_dataid[geom])
