@@ -368,8 +368,8 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
     """A plan from a pair pose by way of poses, standing with both feet at each of them.
 
     start, poses: x_m, y_m, yaw_rad in the world. One search a leg, each from the feet at which the
-    last one ended. epsilon is the largest of any leg. If a leg has no plan there is none, and the
-    reason names the leg.
+    last one ended. epsilon is the largest of any leg. If a leg has no plan there is none; where
+    it does not end at the last pose, the reason names the waypoint.
     Raises ValueError for no pose, or numbers that are not finite.
     """
     if not len(poses):
@@ -383,9 +383,10 @@ def plan_through(planner: Planner, *, start: ArrayLike, poses: Sequence[ArrayLik
             # The legs that are still to come get as much of the time that is left.
             with within(time_left_s() / (len(poses) - len(legs))):
                 leg = _next_leg(planner, legs, pose, start)
-            if legs and not leg.found:
-                leg = replace(leg, reason=f"leg {len(legs) + 1} of {len(poses)}: {leg.reason}")
             legs.append(leg)
+            if not leg.found and len(legs) < len(poses):
+                reason = f"waypoint {len(legs)}: {leg.reason.removeprefix('goal: ')}"
+                legs[-1] = replace(leg, reason=reason)
     last = legs[-1]
     is_part = planner.options.partial and last.status is PlanStatus.TIMED_OUT
     walked = legs if last.found or is_part else []

@@ -202,14 +202,19 @@ def test_a_way_through_poses_begins_with_the_plan_to_the_first():
     assert np.array_equal(plan.pose_world[: len(first)], first.pose_world)
 
 
-def test_a_leg_without_a_way_is_named():
+def test_a_waypoint_without_a_way_is_named():
     grid, model = walled(boxes=((13, 0, 14, 24),)), small_model()
-    plan = plan_through(
-        Planner(grid, model, options=LATTICE), start=START, poses=[VIA, (0.8, 1.95, 2.5)]
-    )
-    assert plan.status is PlanStatus.NO_PATH
-    assert plan.reason.startswith("leg 2 of 2: ")
-    assert len(plan) == len(plan.waypoints) == 0
+    beyond = (0.8, 1.95, 2.5)
+
+    def plan(*poses):
+        return plan_through(Planner(grid, model, options=LATTICE), start=START, poses=poses)
+
+    at_goal, on_the_way = plan(VIA, beyond), plan(VIA, beyond, VIA)
+    for refused in (at_goal, on_the_way):
+        assert refused.status is PlanStatus.NO_PATH
+        assert len(refused) == len(refused.waypoints) == 0
+    assert "waypoint" not in at_goal.reason
+    assert on_the_way.reason == f"waypoint 2: {at_goal.reason.removeprefix('goal: ')}"
 
 
 def test_no_pose_is_an_error():
