@@ -207,7 +207,7 @@ def add_mesh(
     import mujoco
 
     mesh = spec.add_mesh(
-        name=f"mesh_{len(spec.meshes)}",
+        name=f"{body.name}_{len(spec.meshes)}",
         uservert=np.asarray(vertices, np.float32).ravel(),
         userface=np.asarray(faces, np.int32).ravel(),
         # A sheet of metal has no inside, and MuJoCo is to ask for none.
