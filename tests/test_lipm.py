@@ -38,17 +38,8 @@ from controller.step_cursor import StepSequence, UpcomingSteps
 from controller.walker import Walker
 from sim.robots import get_robot, robot_names
 from sim.scene import build_scene
+from tests.lipm_step import FEET, HALF_SOLE_M, OMEGA, STEP
 from tests.programs import ROOM, refusal
-
-HALF_SOLE_M = np.array([0.10, 0.05])
-FEET = np.array([[0.0, 0.1, 0.0, 0.0], [0.0, -0.1, 0.0, 0.0]])
-OMEGA = np.sqrt(9.81 / 0.8)
-STEP = UpcomingSteps(
-    side=np.array([1]),
-    pose_world=np.array([[0.2, -0.1, 0.0, 0.0]]),
-    lift_off_s=np.array([0.3]),
-    touch_down_s=np.array([0.9]),
-)
 
 
 def walked_pattern(feet, steps):

@@ -24,21 +24,12 @@ from controller.lipm.pattern import (
 )
 from controller.lipm.servos import stiff
 from controller.recovery import change_steps, step_change
-from controller.step_cursor import StepCursor, StepSequence, UpcomingSteps
+from controller.step_cursor import StepCursor, StepSequence
 from controller.walker import Walker
 from planner.robot_model import Side
 from sim.robots import get_robot
 from sim.scene import build_scene
-
-HALF_SOLE_M = np.array([0.10, 0.05])
-FEET = np.array([[0.0, 0.1, 0.0, 0.0], [0.0, -0.1, 0.0, 0.0]])
-OMEGA = np.sqrt(9.81 / 0.8)
-STEP = UpcomingSteps(
-    side=np.array([1]),
-    pose_world=np.array([[0.2, -0.1, 0.0, 0.0]]),
-    lift_off_s=np.array([0.3]),
-    touch_down_s=np.array([0.9]),
-)
+from tests.lipm_step import FEET, HALF_SOLE_M, OMEGA, STEP
 
 
 def pendulum_at(dcm: np.ndarray) -> Pendulum:
