@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import http.client
+import io
 import math
 import random
 import re
@@ -137,28 +138,28 @@ def test_every_link_has_a_key_of_its_own(public):
         other.stop()
 
 
-def said_when(server: PageServer, capfd: pytest.CaptureFixture[str], data: str | bytes) -> str:
+def said_when(server: PageServer, data: str | bytes) -> str:
     """What is said when a page sends this, by which its socket must end."""
     url = f"ws://127.0.0.1:{server.get_port()}"
-    capfd.readouterr()
-    with connect(url, subprotocols=[PROTOCOL], max_size=None) as page:
-        page.send(data)
-        with contextlib.suppress(ConnectionClosed):
-            while True:
-                page.recv(timeout=60)  # what a page gets first; no end is a TimeoutError
-    told = ""
-    for _ in range(200):  # the server may tell of it when the socket is closed already
-        told += capfd.readouterr().err
-        if "\n" in told:
-            break
-        time.sleep(0.05)
+    said = io.StringIO()  # capfd would lose what the server writes while it is being read
+    with contextlib.redirect_stderr(said):
+        with connect(url, subprotocols=[PROTOCOL], max_size=None) as page:
+            page.send(data)
+            with contextlib.suppress(ConnectionClosed):
+                while True:
+                    page.recv(timeout=60)  # what a page gets first; no end is a TimeoutError
+        for _ in range(200):  # the server may tell of it when the socket is closed already
+            if "\n" in said.getvalue():
+                break
+            time.sleep(0.05)
+    told = said.getvalue()
     assert told.startswith("warning: "), data[:40]
     assert told.count("\n") == 1
     assert "Traceback" not in told
     return told
 
 
-def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
+def test_nonsense_ends_its_own_socket_with_one_line(local):
     draw = random.Random(1)
     nonsense: list[str | bytes] = [
         "text",
@@ -172,7 +173,7 @@ def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
         bytes(5 * 1024 * 1024),
     ]
     for data in nonsense:
-        said_when(local, capfd, data)
+        said_when(local, data)
     assert answer(local, Host=f"127.0.0.1:{local.get_port()}").status == 200
 
 
@@ -180,16 +181,16 @@ def test_nonsense_ends_its_own_socket_with_one_line(local, capfd):
     ("field", "value"),
     [("position", (0.0, math.nan, 1.0)), ("fov", math.inf), ("look_at", (1e300, 0.0, 0.0))],
 )
-def test_numbers_that_are_not_finite_end_the_socket(local, capfd, field, value):
-    told = said_when(local, capfd, msgspec.msgpack.encode({**CAMERA, field: value}))
+def test_numbers_that_are_not_finite_end_the_socket(local, field, value):
+    told = said_when(local, msgspec.msgpack.encode({**CAMERA, field: value}))
     assert "the number" in told
 
 
 @pytest.mark.filterwarnings("ignore:.*does not match annotation")
 @pytest.mark.parametrize("field", [field for field in CAMERA if field != "type"])
 @pytest.mark.parametrize("value", ["x", [], None])
-def test_cameras_of_another_kind_end_the_socket(local, capfd, field, value):
-    said_when(local, capfd, msgspec.msgpack.encode({**CAMERA, field: value}))
+def test_cameras_of_another_kind_end_the_socket(local, field, value):
+    said_when(local, msgspec.msgpack.encode({**CAMERA, field: value}))
 
 
 @pytest.fixture(scope="module")
@@ -230,9 +231,9 @@ def change(controls: dict[str, Any], name: str, **updates: Any) -> bytes:
         ("number", {}),
     ],
 )
-def test_values_that_no_page_gives_a_control_end_the_socket(local, controls, capfd, name, updates):
+def test_values_that_no_page_gives_a_control_end_the_socket(local, controls, name, updates):
     before = controls[name].value
-    said_when(local, capfd, change(controls, name, **updates))
+    said_when(local, change(controls, name, **updates))
     assert controls[name].value == before
     assert controls[name]._impl.update_cb == []
     assert not controls[name]._impl.removed
@@ -262,7 +263,7 @@ def test_choices_that_are_gone_are_passed_over_and_others_are_taken(local, contr
 
 
 @pytest.mark.parametrize("size", [-1, 10**10])
-def test_files_larger_than_maps_are_not_taken(local, capfd, size):
+def test_files_larger_than_maps_are_not_taken(local, size):
     button = local.gui.add_upload_button("send")
     start = {
         "type": "FileTransferStartUpload",
@@ -273,5 +274,5 @@ def test_files_larger_than_maps_are_not_taken(local, capfd, size):
         "part_count": 1,
         "size_bytes": size,
     }
-    assert f"a file of {size} bytes" in said_when(local, capfd, msgspec.msgpack.encode(start))
+    assert f"a file of {size} bytes" in said_when(local, msgspec.msgpack.encode(start))
     assert not local.gui._current_file_upload_states
