@@ -20,7 +20,7 @@ from maps.files import check_unpacked, from_json, written_whole
 from sim.robot import Robot
 
 CHECKPOINT = "checkpoint.pt"
-CHECKPOINT_FORMAT = "walk-training/4"
+CHECKPOINT_FORMAT = "walk-training/5"
 # Checkpoint, the one that replaces it, policy, corpus and log together take a fifth of this.
 LEAST_FREE_BYTES = 50_000_000
 

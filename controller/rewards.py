@@ -237,28 +237,34 @@ PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}
 
 @dataclass(frozen=True, kw_only=True)
 class RewardSchedule:
-    """Weights that change over a training run, from `first` to `last`, once the robot walks.
+    """Weights that change over a training run, from `first` to `last`, while the robot walks.
 
     Under `QUIET` standing still pays more than a first step, so walking is learned under `PRECISE`.
-    When `success` of the held-out flat episodes succeed, with feet `error_m` from their steps or
-    nearer (median), the weights are interpolated over the next `blend_share` of the run.
+    While `success` of the held-out flat episodes succeed, with feet `error_m` from their steps or
+    nearer (median), the weights move toward `last`, all the way in `blend_share` of the run, and
+    else back at the same pace: a robot that `last` would cost its precision stays between.
     """
 
     first: Mapping[str, float]
     last: Mapping[str, float]
     success: float = 0.95
-    error_m: float = 0.04
+    error_m: float = 0.02
     blend_share: float = 0.23
 
-    def after(self, blended: float, *, share: float, success: float, error_m: float) -> float:
+    def walks(self, *, success: float, error_m: float) -> bool:
+        """Whether a robot of this success and median error, NaN for no step at all, is there."""
+        return success >= self.success and error_m <= self.error_m
+
+    def after(self, blended: float, *, share: float, walks: bool) -> float:
         """Position of the weights between `first` (0) and `last` (1) in the next segment.
 
-        `blended` is that of the segment before, which was `share` of the run; at its end the
-        robot walked with this `success` and this median `error_m`, NaN for no step at all.
+        `blended` is that of the segment before, which was `share` of the run; `walks` says
+        whether the robot did at its end.
         """
-        if blended == 0 and not (success >= self.success and error_m <= self.error_m):
-            return 0.0
-        return min(blended + share / self.blend_share, 1.0)
+        if self.first == self.last:
+            return 1.0
+        change = share / self.blend_share
+        return min(max(blended + (change if walks else -change), 0.0), 1.0)
 
     def at(self, blended: float) -> dict[str, float]:
         """The weights at a position in [0, 1] between `first` and `last`."""

@@ -270,19 +270,17 @@ class Trainer:
         assessed_stairs = [result.summary for result in stairs]
         if writer is not None:
             self._log(writer, summary, losses, results)
-        # Policies trained under the warm-up reward count as worse.
+        walks = config.rewards.walks(
+            success=flat.success, error_m=float(assessed["error_m_median"])
+        )
+        # Of policies that walk, those trained under more of the last reward count as better.
         blended = self.blended
-        now = (blended, *score(stage, results, summary["reward"]))
+        now = (walks, blended, *score(stage, results, summary["reward"]))
         best = now > self.best_score
         self.best_score = max(now, self.best_score)
         line = {"samples": samples, "seconds": seconds, "rise_m": stage.rise_m, **summary}
         self.history.append({**line, "assess": assessed, "assess_stairs": assessed_stairs})
-        self.blended = config.rewards.after(
-            self.blended,
-            share=1 / config.segments,
-            success=flat.success,
-            error_m=float(assessed["error_m_median"]),
-        )
+        self.blended = config.rewards.after(blended, share=1 / config.segments, walks=walks)
         self.stage = config.curriculum.after(
             stage,
             updates=self.segment * config.updates_per_segment,

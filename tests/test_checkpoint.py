@@ -206,7 +206,7 @@ def test_networks_of_another_size_are_refused(saved):
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"format": "walk-training/1"}, "is not a walk-training/4 checkpoint"),
+        ({"format": "walk-training/1"}, "is not a walk-training/5 checkpoint"),
         ({"stage": None}, "is damaged: KeyError('stage')"),
         ({"stage": {"rise": 0.1}}, "is damaged"),
         ({"config": "{"}, "is damaged"),
@@ -311,7 +311,7 @@ def test_file_that_is_no_checkpoint_is_refused(saved):
     path.write_bytes(content[: len(content) // 2])
     assert "it is damaged or no checkpoint" in refusal(saved)
     torch.save([1, 2], path)
-    assert "is not a walk-training/4 checkpoint" in refusal(saved)
+    assert "is not a walk-training/5 checkpoint" in refusal(saved)
     path.unlink()
     assert "no checkpoint.pt" in refusal(saved)
 

@@ -328,7 +328,7 @@ def test_landing_speed_is_seen_between_two_control_steps():
     assert max(overspeed_m_s) == pytest.approx(fallen_m_s - ri.TOUCHDOWN_M_S, abs=0.1)
 
 
-def test_a_schedule_goes_from_one_reward_to_the_other_once_the_robot_walks():
+def test_a_schedule_goes_from_one_reward_to_the_other_while_the_robot_walks():
     schedule = r.RewardSchedule(
         first={"height": 1.0}, last={"height": 0.5, "power": 0.5}, blend_share=0.2
     )
@@ -337,13 +337,21 @@ def test_a_schedule_goes_from_one_reward_to_the_other_once_the_robot_walks():
     assert schedule.at(1.0) == {"height": 0.5, "power": 0.5}
 
     def after(blended, success, error_m):
-        return schedule.after(blended, share=0.1, success=success, error_m=error_m)
+        walks = schedule.walks(success=success, error_m=error_m)
+        return schedule.after(blended, share=0.05, walks=walks)
 
-    for success, error_m in ((0.94, 0.01), (1.0, 0.05), (1.0, math.nan)):  # not yet
+    for success, error_m in ((0.94, 0.01), (1.0, 0.03), (1.0, math.nan)):  # not yet
         assert after(0.0, success, error_m) == 0.0
-    assert after(0.0, 0.95, 0.04) == pytest.approx(0.5)
-    # Once begun it goes on, whatever becomes of the walk meanwhile, and ends.
-    assert after(0.5, 0.2, math.nan) == after(1.0, 0.2, math.nan) == 1.0
+    assert after(0.0, 0.95, 0.02) == pytest.approx(0.25)
+    assert after(0.9, 1.0, 0.01) == 1.0
+    # What costs the robot its walk or its precision is taken back.
+    assert after(1.0, 0.94, 0.01) == after(1.0, 1.0, 0.03) == pytest.approx(0.75)
+
+
+def test_a_schedule_of_one_reward_stays_there():
+    schedule = r.RewardSchedule(first=r.PAPER, last=dict(r.PAPER))
+    assert schedule.after(1.0, share=0.1, walks=False) == 1.0
+    assert schedule.at(1.0) == r.PAPER
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
