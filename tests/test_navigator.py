@@ -17,7 +17,7 @@ from app.navigation.navigator import Navigator, NavigatorConfig
 from app.navigation.planner_process import PlannerProcess
 from app.navigation.replanner import Replanner
 from app.navigation.report import Outcome
-from app.pictures.rendering import fixed_boxes
+from app.pictures.line_of_sight import fixed_boxes
 from controller.policy import Policy, load_policy
 from maps.grid import Cell, OccupancyGrid
 from maps.map_files import load_map

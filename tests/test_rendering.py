@@ -12,19 +12,15 @@ import pytest
 
 from app.navigation.placed import Placed
 from app.pictures.film import captioned, tile
+from app.pictures.line_of_sight import Boxes, eye_position, hides, obstacles_of, points_to_see
 from app.pictures.portrait import TILE_HEIGHT, TILE_WIDTH, VIEWS_DEG, main
 from app.pictures.rendering import (
-    Boxes,
     Footmark,
     Recording,
     View,
     add_footmarks,
     camera_path,
-    eye_position,
     footmarks_of,
-    hides,
-    obstacles_of,
-    points_to_see,
     resampled,
 )
 from planner.plan import FootstepPlan, feet_at

@@ -48,9 +48,6 @@ def portrait(robot: Robot, *, shapes: bool = False) -> Picture:
     if shapes:
         # With nothing in the group of the looks, the shapes that collide are drawn.
         model.geom_group[model.geom_group == VISUAL_GROUP] = PHYSICS_GROUP + 1
-    # One robot alone is a small scene, in which the shadows are cut too fine for a level floor.
-    model.vis.map.shadowclip = 4.0
-    model.light_pos[:, 2] = 3.0
     recording = Recording(qpos=scene.standing_qpos[None], time_s=np.zeros(1))
     pictures = []
     for azimuth_deg in VIEWS_DEG:

@@ -12,10 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.pictures.canvas import LEFT, RIGHT, Colour, FloatArray, Picture
+from app.pictures.line_of_sight import (
+    Boxes,
+    eye_position,
+    fixed_boxes,
+    hides,
+    obstacles_of,
+    points_to_see,
+)
 from planner.plan import FootstepPlan
 from planner.robot_model import FootShape, Side
 from sim.gl import NoGlError
-from sim.robot import GROUND_PREFIX, PHYSICS_GROUP, VISUAL_GROUP
+from sim.robot import PHYSICS_GROUP, VISUAL_GROUP
 
 if TYPE_CHECKING:
     import mujoco
@@ -24,125 +32,16 @@ if TYPE_CHECKING:
 
 # Height of what is left of an obstacle that is cut away, so that one sees where it stands.
 STUMP_M = 0.06
-# Boxes that touch are one obstacle, cut as a whole, unless that is longer than this, as walls are.
-_WHOLE_M = 1.5
-_MOST_BOXES = 4000  # beyond this each box is cut alone
-# Heights above the floor (m) and offsets sideways (m) of the points of the robot to be seen.
-_SEEN_HEIGHTS_M = (0.05, 0.5, 1.0, 1.5)
-_SEEN_OFFSETS_M = (-0.25, 0.0, 0.25)
 # Footprints: planned ones below placed ones, so that no two fight for the same pixels. Pale ones
 # are mixed with white: glassy ones would lie in a shadow that they cast themselves, and look dark.
 PALE = 0.4
 _PLANNED_THICKNESS_M, _PLACED_THICKNESS_M = 0.004, 0.007
-
-
-@dataclass(frozen=True, kw_only=True)
-class Boxes:
-    """Boxes that never move: geom (n,) index in the model; the rest in the world frame.
-
-    centre_m (n, 3); T_world_box (n, 3, 3) takes directions of the box to the world;
-    half_m (n, 3) half lengths.
-    """
-
-    geom: NDArray[np.intp]
-    centre_m: FloatArray
-    T_world_box: FloatArray
-    half_m: FloatArray
-
-
-def fixed_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> Boxes:
-    """The box geoms of the model that are welded to the world; data holds their poses.
-
-    Not those that are ground: a robot stands on them.
-    """
-    import mujoco
-
-    is_box = model.geom_type == int(mujoco.mjtGeom.mjGEOM_BOX)
-    is_fixed = model.body_weldid[model.geom_bodyid] == 0
-    names = [model.geom(geom).name for geom in range(model.ngeom)]
-    is_ground = np.array([name.startswith(GROUND_PREFIX) for name in names])
-    geom = np.flatnonzero(is_box & is_fixed & ~is_ground)
-    return Boxes(
-        geom=geom,
-        centre_m=np.array(data.geom_xpos[geom]),
-        T_world_box=np.array(data.geom_xmat[geom]).reshape(-1, 3, 3),
-        half_m=np.array(model.geom_size[geom]),
-    )
-
-
-def hides(boxes: Boxes, eye_m: FloatArray, points_m: FloatArray) -> NDArray[np.bool_]:
-    """Whether each box (n,) cuts the line from the eye (3,) to any of the points (m, 3)."""
-    # Slab test in each box's own frame: line = eye + t (point - eye), 0 <= t <= 1.
-    eye = np.einsum("nji,nj->ni", boxes.T_world_box, eye_m - boxes.centre_m)[:, None, :]
-    along = np.einsum("nji,mj->nmi", boxes.T_world_box, points_m - eye_m)
-    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-    half = boxes.half_m[:, None, :]
-    one, other = (-half - eye) / along, (half - eye) / along
-    enter = np.minimum(one, other).max(axis=2)
-    leave = np.maximum(one, other).min(axis=2)
-    cut: NDArray[np.bool_] = ((enter <= leave) & (leave >= 0) & (enter <= 1)).any(axis=1)
-    return cut
-
-
-def obstacles_of(boxes: Boxes) -> NDArray[np.intp]:
-    """The number (n,) of the obstacle that each box belongs to: those of small ones that touch.
-
-    Assumes boxes that are turned alike, as those of a map; others count as apart.
-    """
-    count = len(boxes.geom)
-    label = np.arange(count)
-    if not 0 < count <= _MOST_BOXES:
-        return label
-    frame = boxes.T_world_box[0]
-    alike = np.abs(boxes.T_world_box - frame).max(axis=(1, 2)) < 1e-6
-    centre, half = (boxes.centre_m @ frame)[:, :2], boxes.half_m[:, :2]
-    touch = alike[:, None] & alike
-    for axis in range(2):
-        apart = np.abs(centre[:, None, axis] - centre[:, axis])
-        touch &= apart <= half[:, None, axis] + half[:, axis] + 1e-3
-    while True:
-        least = np.where(touch, label, count).min(axis=1, initial=count)
-        least = np.minimum(label, least)
-        if np.array_equal(least, label):
-            break
-        label = least[least]
-    for number in np.unique(label):
-        mine = label == number
-        low, high = (centre - half)[mine].min(axis=0), (centre + half)[mine].max(axis=0)
-        if (high - low).max() > _WHOLE_M:
-            label[mine] = np.flatnonzero(mine)
-    return label
-
-
-def points_to_see(place_m: FloatArray, eye_m: FloatArray, ground_m: float = 0.0) -> FloatArray:
-    """Points (m, 3) of a robot that stands at the place (2,), spread as the eye (3,) sees it.
-
-    ground_m: the height of the ground there.
-    """
-    towards = place_m - eye_m[:2]
-    sideways = np.array([-towards[1], towards[0]]) / max(1e-9, float(np.hypot(*towards)))
-    return np.array(
-        [
-            [*(place_m + offset_m * sideways), ground_m + height_m]
-            for height_m in _SEEN_HEIGHTS_M
-            for offset_m in _SEEN_OFFSETS_M
-        ]
-    )
-
-
-def eye_position(
-    lookat_m: FloatArray, distance_m: float, azimuth_deg: float, elevation_deg: float
-) -> FloatArray:
-    """Where MuJoCo's free camera with these settings is, (3,) in the world frame."""
-    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
-    forward = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
-    return np.asarray(lookat_m, dtype=float) - distance_m * forward
+# Light from the sky lies in shadows too and on sides that the sun does not reach; the headlight is
+# at the camera. What a level floor gets from all three comes to about 1.
+_SKY, _HEADLIGHT, _SUN, _SHINE = 0.5, 0.25, 0.45, 0.1
+# Shadows are drawn within this distance of what the camera looks at, so that the shadow map is
+# fine there: spread over a whole map it is coarse, and walls get dark dashes along their edges.
+_SHADOWS_M = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -371,6 +270,9 @@ class Drawer:
         mujoco.mj_camlight(self._renderer.model, self._data)
         self._aim(index)
         self._renderer.update_scene(self._data, self._camera, self._shown)
+        for light in self._renderer.scene.lights[: self._renderer.scene.nlight]:
+            if light.castshadow:
+                light.pos[:] = self._camera.lookat - _SHADOWS_M * np.asarray(light.dir)
         add_footmarks(self._renderer.scene, self._marks, float(self._recording.time_s[index]))
         return np.array(self._renderer.render())
 
@@ -402,6 +304,14 @@ class Drawer:
             model.geom_pos[geom] += down_m
 
 
+def _set_light(model: mujoco.MjModel) -> None:
+    model.vis.headlight.ambient[:] = _SKY
+    model.vis.headlight.diffuse[:] = _HEADLIGHT
+    model.light_diffuse[:] = _SUN
+    model.vis.headlight.specular[:] = model.light_specular[:] = _SHINE
+    model.vis.map.shadowclip = _SHADOWS_M / model.stat.extent
+
+
 @contextmanager
 def drawing(
     model: mujoco.MjModel,
@@ -431,8 +341,7 @@ def drawing(
     model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
     model.vis.global_.offheight = max(height, model.vis.global_.offheight)
     model.vis.quality.offsamples = 4 if fine else 0
-    # Sides that no light reaches would be black; walls have many of them.
-    model.vis.headlight.ambient[:] = 0.2
+    _set_light(model)
     try:
         renderer = mujoco.Renderer(model, height, width, max_geom=20_000)
     except Exception as error:
