@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 
 from app.commands import evaluate
-from app.evaluation.figures import FIGURES, write_figures
+from app.evaluation.figures import FIGURES, drawn, write_figures
 from app.evaluation.report_text import report
 from app.evaluation.sections import mode_row
 from app.evaluation.tables import plain_joint, table
@@ -18,7 +18,7 @@ from tests.evaluations import (
     measured_results,
     stairs_row,
 )
-from tests.programs import picture_at, refusal
+from tests.programs import ROOT, picture_at, refusal
 
 
 def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path):
@@ -32,6 +32,24 @@ def test_pictures_and_text_of_made_up_stairs_and_limits(tmp_path):
     assert "| 10 cm | joints, degrees ±3 | 100 | - | 100.0 %, 10.0 s | withstood |" in text
     assert "up to 10 cm, a foot margin of 1.3 cm" in text
     assert "Stored: own.measured.json." in text
+
+
+def test_no_legend_covers_what_is_drawn():
+    """In the figures of the evaluation that the docs show; each has a legend."""
+    file = ROOT / "docs" / "evaluation" / "jvrc1" / "evaluation.json"
+    document = json.loads(file.read_text())
+    document["beside"] = dict(document)
+    for name, (section, *_) in FIGURES.items():
+        if section not in document:
+            continue
+        figure = drawn(document, name)
+        figure.draw_without_rendering()
+        (legend,) = figure.legends
+        covered = legend.get_window_extent()
+        panels = [axes.get_window_extent() for axes in figure.axes]
+        assert not any(covered.overlaps(panel) for panel in panels), name
+        assert covered.x0 >= 0, name
+        assert covered.x1 <= figure.bbox.x1, name
 
 
 def test_another_policy_beside(tmp_path, capsys):

@@ -27,18 +27,44 @@ from app.pictures.canvas import hex_of
 
 LEFT, RIGHT, GREY = hex_of(canvas.LEFT), hex_of(canvas.RIGHT), "#8a8f98"
 UP, DOWN = THIS, OTHER = "#0b7a75", "#c8553d"
+_LEGEND_COLUMNS = 6
 CYCLE_TIME = "time in the gait cycle from the right foot's lift-off, s"
 
 
 def write_figures(document: Document, folder: Path) -> None:
     """Draw every figure whose section was measured, those with `beside` where both have it."""
     beside = document.get("beside") or {}
-    for name, (section, size, draw) in FIGURES.items():
+    for name, (section, *_) in FIGURES.items():
         if has(document, section) and (has(beside, section) or not name.startswith("beside")):
-            figure = Figure(figsize=size, layout="constrained")
-            draw(document, figure)
             with replacing(folder / name) as temporary:
-                figure.savefig(temporary, dpi=120)
+                drawn(document, name).savefig(temporary, dpi=120)
+
+
+def drawn(document: Document, name: str) -> Figure:
+    """The figure of this name in FIGURES; its section must have been measured."""
+    _, size, draw = FIGURES[name]
+    figure = Figure(figsize=size, layout="constrained")
+    draw(document, figure)
+    _add_legend(figure)
+    return figure
+
+
+def _add_legend(figure: Figure) -> None:
+    """One legend for all panels, above them, where it can cover no curve."""
+    named: dict[str, Any] = {}
+    for axes in figure.axes:
+        handles, labels = axes.get_legend_handles_labels()
+        named |= dict(zip(labels, handles, strict=True))
+    if named:
+        rows = math.ceil(len(named) / _LEGEND_COLUMNS)
+        figure.legend(
+            list(named.values()),
+            list(named),
+            loc="outside upper center",
+            ncols=math.ceil(len(named) / rows),
+            fontsize=8,
+            frameon=False,
+        )
 
 
 def draw_limits(document: Document, figure: Figure) -> None:
@@ -110,7 +136,6 @@ def draw_beside(document: Document, figure: Figure) -> None:
         _plain(axes, "x", xlabel=label, xlim=(0, None))
     panels[0].set_yticks(places, [row["this"]["mode"] for row in both])
     panels[0].invert_yaxis()
-    panels[1].legend(frameon=False)
 
 
 def _two(document: Document) -> Iterator[tuple[float, str, str, str]]:
@@ -150,7 +175,6 @@ def draw_beside_loads(document: Document, figure: Figure) -> None:
         _plain(axes, "y", ylabel=f"peak {title}, % of its limit", ylim=(0, 108))
         labels = [plain_joint(row["joint"]) for row in joints["this"]]
         axes.set_xticks(places, labels, rotation=30, ha="right")
-    panels[1].legend(frameon=False)
 
 
 def draw_beside_noise(document: Document, figure: Figure) -> None:
@@ -174,7 +198,6 @@ def draw_beside_noise(document: Document, figure: Figure) -> None:
                 axes.plot(noise, success, style, color=colour, label=f"{name}, {way}")
         _plain(axes, xlabel=label, ylim=(0, 104))
     panels[0].set_ylabel(f"success on {100 * rise_m:g} cm stairs, %")
-    panels[0].legend(frameon=False, fontsize=8, loc="lower left")
 
 
 def _plain(axes: Axes, grid: Literal["x", "y", "both"] = "both", **settings: Any) -> None:
@@ -201,7 +224,6 @@ def draw_errors(document: Document, figure: Figure) -> None:
         xlim=(0, 1.05 * largest_cm),
         ylim=(0, 1),
     )
-    axes.legend(frameon=False, fontsize=8)
 
 
 def draw_stairs(document: Document, figure: Figure) -> None:
@@ -231,9 +253,8 @@ def draw_stairs(document: Document, figure: Figure) -> None:
         )
         _plain(below, xlabel=label, ylim=(0, 10.5))
         _plain(above, ylim=(0, 104))
-    panels[0, 0].set_ylabel("success, %")
+    panels[0, 0].set_ylabel(f"success on {100 * rise_m:g} cm stairs, %")
     panels[1, 0].set_ylabel("episode length, s")
-    panels[0, 0].legend(frameon=False, title=f"{100 * rise_m:g} cm stairs", loc="lower left")
 
 
 def draw_loads(document: Document, figure: Figure) -> None:
@@ -267,7 +288,6 @@ def draw_loads(document: Document, figure: Figure) -> None:
         _plain(axes, "y", ylabel=f"peak {title}, % of its limit", ylim=(0, 108))
         axes.set_title(f"numbers: {unit}", fontsize=8, color=GREY, loc="right")
         axes.set_xticks(np.arange(half), names, rotation=30, ha="right")
-    axes.legend(frameon=False)
 
 
 def draw_forces(document: Document, figure: Figure) -> None:
@@ -286,7 +306,6 @@ def _forces(gait: Document, axes: Axes) -> None:
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1)
     label = "vertical force / weight"
     _plain(axes, xlabel=CYCLE_TIME, ylabel=label, xlim=(0, time_s[-1]), ylim=(0, None))
-    axes.legend(frameon=False, ncols=2, loc="upper right")
 
 
 def draw_contact(document: Document, figure: Figure) -> None:
@@ -303,7 +322,6 @@ def draw_contact(document: Document, figure: Figure) -> None:
         axes.plot(time_s, asked, color="black", linewidth=1.2, label="phase indicator")
         _plain(axes, ylabel=f"{name} foot", ylim=(-0.05, 1.1), xlim=(0, time_s[-1]))
         axes.set_yticks([0, 1], ["swing", "support"])
-    panels[0].legend(frameon=False, ncols=2, fontsize=8, loc="lower left")
     panels[1].set_xlabel(CYCLE_TIME)
 
 
@@ -315,9 +333,10 @@ def draw_push(document: Document, figure: Figure) -> None:
 def _push(rows: Sequence[Document], axes: Axes) -> None:
     for row, colour in zip(rows, (UP, DOWN, LEFT, RIGHT), strict=False):
         success = [100 * share for share in row["success"]]
-        axes.plot(row["impulses_ns"], success, "o-", color=colour, label=row["direction"])
+        axes.plot(
+            row["impulses_ns"], success, "o-", color=colour, label=f"pushed {row['direction']}"
+        )
     _plain(axes, xlabel="impulse, N s", ylabel="success, %", ylim=(0, 104), xlim=(0, None))
-    axes.legend(frameon=False, title="pushed")
 
 
 def draw_energy(document: Document, figure: Figure) -> None:
@@ -334,7 +353,6 @@ def _energy(walks: Sequence[Document], axes: Axes) -> None:
         axes.plot(speed, cost, mark, color=colour, label=kind)
     label = "cost of transport E / (m g d)"
     _plain(axes, xlabel="walking speed, m/s", ylabel=label, xlim=(0, None), ylim=(0, None))
-    axes.legend(frameon=False)
 
 
 def draw_pace(document: Document, figure: Figure) -> None:
@@ -354,14 +372,12 @@ def _pace(walks: Sequence[tuple[Sequence[Document], str, str]], figure: Figure) 
     for rows, colour, name in walks:
         step_s = [row["step_s"] for row in rows]
         stayed = [100 * (1 - row["falls"] / row["walks"]) for row in rows]
-        falls.plot(step_s, stayed, "o-", color=colour, label=name)
+        falls.plot(step_s, stayed, "o-", color=colour, label=name or None)
         moved = [row for row in rows if row["speed_m_s"] is not None]
         x, y = ([row[key] for row in moved] for key in ("step_s", "speed_m_s"))
         speeds.plot(x, y, "o-", color=colour)
     _plain(falls, xlabel="a step takes, s", ylabel="walks without a fall, %", ylim=(0, 104))
     _plain(speeds, xlabel="a step takes, s", ylabel="speed, m/s", ylim=(0, None))
-    if len(walks) > 1:
-        falls.legend(frameon=False)
 
 
 def draw_hardware(document: Document, figure: Figure) -> None:
@@ -382,7 +398,6 @@ def draw_hardware(document: Document, figure: Figure) -> None:
         axes.xaxis.label.set_fontsize(8)
     for axes in panels[len(kinds) :]:
         axes.set_visible(False)
-    panels[0].legend(frameon=False, fontsize=7)
 
 
 # File name: the section that it shows, width and height, and who draws it.
