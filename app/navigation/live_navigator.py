@@ -242,7 +242,7 @@ class WalkHistory:
         self.path_world = np.array([qpos[:2] for qpos in navigator.qpos[::_PATH_EVERY_TICKS]])
         near = min_clearance_m(navigator.scene, navigator.qpos[-1][None])
         if near is not None:
-            self.clearance_m = min(near, self.clearance_m or near)
+            self.clearance_m = near if self.clearance_m is None else min(near, self.clearance_m)
 
     def forces(self) -> np.ndarray:
         """Time in s and upward force on the left and right foot in N, (3, T), the latest last."""
