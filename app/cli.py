@@ -164,6 +164,12 @@ def main(arguments: Sequence[str], program: str = PROGRAM) -> int:
             raise
         _tell(f"error: cannot use {one_line(error.filename)}: {error.strerror}")
         return ExitCode.BAD_INPUT
+    except MemoryError:
+        _tell(
+            "error: not enough memory: the map is too large for this machine; look at its metres "
+            "per pixel, or take a part of it or fewer workers"
+        )
+        return ExitCode.BAD_INPUT
     except Exception:
         # A library that is being imported makes an ImportError of what a signal raises in it.
         if stops:

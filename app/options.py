@@ -83,17 +83,14 @@ def _reader(
     wanted: str,
     fits: Callable[[Numbers], bool] = lambda _: True,
     *,
-    last: Callable[[str], float] = float,
+    angles: Sequence[int] = (),
 ) -> Callable[[str], Numbers]:
-    """Reads finite numbers with commas between, the last by a function of its own.
-
-    Raises ValueError unless they are as wanted.
-    """
+    """Reads finite numbers with commas between, those at `angles` as such; or ValueError."""
 
     def read(text: str) -> Numbers:
         with contextlib.suppress(ValueError, TypeError):
-            *words, end = text.split(",")
-            value = kind(*[*map(float, words), last(end)])
+            words = enumerate(text.split(","))
+            value = kind(*[(_angle if k in angles else float)(word) for k, word in words])
             if all(map(math.isfinite, value)) and fits(value):
                 return value
         raise ValueError(f"{text!r} is not {wanted}")
@@ -112,7 +109,6 @@ def _angle(text: str) -> float:
         warnings.warn(
             f"{angle_rad:g} is read as radians, the same as {turn_deg:.0f}deg; "
             f"write {angle_rad:g}deg for degrees",
-            UserWarning,
             stacklevel=2,
         )
     return angle_rad
@@ -121,16 +117,17 @@ def _angle(text: str) -> float:
 parse_pose = _reader(
     Pose,
     "a pose; write X,Y,YAW in metres and radians, such as 2,1,1.57 or 2,1,90deg",
-    last=_angle,
+    angles=(2,),
 )
-parse_interval = _reader(
-    Interval, "a range; write LOW,HIGH, such as -1,1", lambda range_: range_.low <= range_.high
+parse_interval, parse_angles = (
+    _reader(Interval, f"a range; write LOW,HIGH, such as {such}", lambda r: r[0] <= r[1], angles=at)
+    for such, at in (("-1,1", ()), ("-1.57,1.57 or -90deg,90deg", (0, 1)))
 )
 parse_reach = _reader(
     Reach,
     "a reach; write M,RAD in metres and radians, such as 0.05,0.1 or 0.05,5deg",
     lambda reach: min(reach) >= 0,
-    last=_angle,
+    angles=(1,),
 )
 
 
@@ -234,6 +231,7 @@ PosesOption = Annotated[
     Poses, text("X,Y,YAW:X,Y,YAW...", lambda word: Poses(map(parse_pose, word.split(":"))))
 ]
 OptionalInterval = Annotated[Optional[Interval], text("LOW,HIGH", parse_interval)]  # noqa: UP045
+OptionalAngles = Annotated[Optional[Interval], text("LOW,HIGH", parse_angles)]  # noqa: UP045
 SizeOption = Annotated[Size, text("WIDTHxHEIGHT", parse_size)]
 ReachOption = Annotated[Reach, text("M,RAD", parse_reach)]
 OptionalLength = Annotated[Optional[float], number(above=0)]  # noqa: UP045

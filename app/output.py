@@ -126,6 +126,8 @@ def make_folder(path: Path, *, option: str) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise InputError(f"{option}: cannot make the folder {path}: a file is in the way") from None
     except OSError as error:
         raise InputError(f"{option}: cannot make the folder {path}: {error.strerror}") from error
     if not os.access(path, os.W_OK):

@@ -158,9 +158,12 @@ def load_policy(robot: Robot, path: Path | None = None) -> Policy:
 
     path = path or own_policy_path(robot)
     about_path = path.with_suffix(".json")
-    for needed in (path, about_path):
-        if not needed.is_file():
-            raise PolicyError(f"no policy file {needed}: train one or name another with --policy")
+    if not path.is_file():
+        if path.is_dir():
+            raise PolicyError(f"policy {path}: a folder; name the file in it, NAME.safetensors")
+        raise PolicyError(f"no policy file {path}: train one or name another with --policy")
+    if not about_path.is_file():
+        raise PolicyError(f"policy {path}: no {about_path.name} beside it; keep the two together")
     try:
         content = read_limited(path, MOST_WEIGHTS_BYTES)
         tensors = load(content)

@@ -132,6 +132,11 @@ def test_goals_and_starts_where_nobody_can_stand(unplanned, words, told):
     assert told in unplanned("--map", ROOM, *words)
 
 
+def test_a_map_that_fits_no_memory_is_refused(refused, map_of):
+    told = refused("plan", "--map", map_of(), "--resolution", "1e8", "--goal", "1e9,1e9,0")
+    assert told.startswith("error: not enough memory: the map is too large")
+
+
 def test_a_map_whose_unknown_cells_read_as_free_is_warned_of(map_of, capsys):
     path = map_of(205, free_thresh=0.25)
     assert main(("plan", "--map", path, "--goal", "1,0,0")) == ExitCode.DONE

@@ -20,6 +20,7 @@ from app.options import (
     PoseOption,
     choice,
     number,
+    parse_angles,
     parse_options,
     parse_size,
     whole_number,
@@ -116,6 +117,17 @@ def test_a_heading_that_looks_like_degrees_is_told_of():
 @pytest.mark.parametrize("word", ["2,1,deg", "2,90deg,0", "2,1,90 degrees", "2,1,infdeg"])
 def test_degrees_are_for_headings_alone(word):
     assert "or 2,1,90deg" in refusal("--goal", word)
+
+
+def test_a_range_of_headings_is_read_as_headings_are():
+    low, high = parse_angles("-90deg,1.5")
+    assert low == pytest.approx(-math.pi / 2)
+    assert high == 1.5
+    with pytest.warns(UserWarning, match="90 is read as radians"):
+        assert parse_angles("0,90") == (0.0, 90.0)
+    for word in ("1,0", "90deg,0deg", "0", "0,nan"):
+        with pytest.raises(ValueError, match=r"such as -1\.57,1\.57 or -90deg,90deg"):
+            parse_angles(word)
 
 
 def test_everything_given_is_taken():

@@ -193,6 +193,11 @@ def test_policy_that_does_not_fit_is_refused_saying_why(tmp_path):
     path = tmp_path / "p.safetensors"
     with pytest.raises(PolicyError, match=r"no policy file .*p\.safetensors"):
         load_policy(ROBOT, path)
+    with pytest.raises(PolicyError, match="a folder; name the file in it"):
+        load_policy(ROBOT, tmp_path)
+    path.touch()
+    with pytest.raises(PolicyError, match=r"p\.safetensors: no p\.json beside it"):
+        load_policy(ROBOT, path)
     save_policy(small_policy(ROBOT), path)
     other = replace(ROBOT, name="someone_else")
     with pytest.raises(PolicyError, match="its robot is jvrc1, someone_else needs"):

@@ -64,6 +64,13 @@ def test_zeros_are_zeros_that_can_be_written(count):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="asks Linux how much memory is used")
+@pytest.mark.skipif(sys.platform != "linux", reason="asks Linux for pages")
+@pytest.mark.parametrize("count", [1 << 58, 1 << 80])
+def test_zeros_for_which_there_is_no_room_are_told_as_such(count):
+    with pytest.raises(MemoryError):
+        zeros(count, np.int32)
+
+
 def test_a_number_here_and_there_takes_up_a_page_each():
     array = zeros(1 << 26, np.uint8)
     before = resident_bytes()

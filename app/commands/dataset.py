@@ -25,6 +25,7 @@ from app.options import (
     FolderOption,
     Interval,
     MapOptions,
+    OptionalAngles,
     OptionalFile,
     OptionalInterval,
     OptionalPose,
@@ -104,8 +105,9 @@ class DatasetOptions(MapOptions):
     goal_y: OptionalInterval = None
     """Range of the goals' y in metres, such as -2,2; none: -1,1, or the whole map."""
 
-    goal_yaw: OptionalInterval = None
-    """Range of the goals' yaw, such as -3.14,3.14; none: a quarter turn, on a map any heading."""
+    goal_yaw: OptionalAngles = None
+    """Range of the goals' yaw, such as -90deg,90deg or -1,1 in radians; none: a quarter turn, on a
+    map any heading."""
 
     start: OptionalPose = None
     """Where every plan starts, such as 0,0,0; none: 0,0,0, on a map anywhere."""
