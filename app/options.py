@@ -73,6 +73,7 @@ class Size(NamedTuple):
 
 
 LEAST_PX, MOST_PX = 64, 7680
+ABOUT_MAP = ("resolution", "origin", "unknown_is_free")  # of MapOptions; for nothing without a map
 _MOST_LETTERS = 100  # in a line of the help
 _Spec = PrimitiveConstructorSpec[Any]
 Numbers = TypeVar("Numbers", Pose, Interval, Reach)

@@ -91,7 +91,9 @@ def _shortened(text: str, most: int) -> str:
 def refuse_given(options: Any, names: Sequence[str], why: str) -> None:
     """Raises InputError, which says why, if one of these options has been given."""
     for field in dataclasses.fields(options):
-        if field.name in names and getattr(options, field.name) != field.default:
+        factory = field.default_factory
+        default = field.default if factory is dataclasses.MISSING else factory()
+        if field.name in names and getattr(options, field.name) != default:
             raise InputError(f"--{field.name.replace('_', '-')} {why}")
 
 

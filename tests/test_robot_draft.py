@@ -149,6 +149,8 @@ def test_options_decide_what_the_model_does_not_tell(tmp_path, capsys):
     assert document["soles"]["centre_m"][2] == -0.07
     told = refusal(capsys, "robot", "draft", tmp_path / "boxes.urdf", "--out", tmp_path)
     assert "add --force" in told
+    own = ("robot", "draft", "jvrc1", "--out", tmp_path / "new", "--feet", "a,b")
+    assert "--feet is for a URDF" in refusal(capsys, *own)
     told = refusal(capsys, "robot", "draft", tmp_path / "none.urdf", "--out", tmp_path / "new")
     assert "there is no such file" in told
 

@@ -407,6 +407,9 @@ def test_what_cannot_be_is_refused(capsys, tmp_path):
     assert "is no remapping" in refusal(capsys, "ros1", "goal")
     file = tmp_path / "footsteps_a.yaml"
     assert "cannot be read" in refusal(capsys, "ros1", "--step-model", file)
+    told = refusal(capsys, "ros1", "--step-model", file, "--robot", "h1")
+    assert "--robot goes without --step-model" in told
+    assert "--origin is about a map" in refusal(capsys, "ros1", "--origin", "0,0,0")
 
 
 @needs_ros1

@@ -19,7 +19,7 @@ pytest.importorskip("cyclonedds", reason="the extra ros2 is not installed")
 
 from app.ros.plan_requests import RequestError, read_request
 from planner.plan import FootstepPlan
-from tests.programs import refusal
+from tests.programs import ROOM, refusal
 from tests.ros2_peer import (
     DOMAIN,
     Header,
@@ -223,6 +223,9 @@ def test_what_is_wrong_with_a_question_is_named(words, told):
 def test_options_that_do_not_go_together(capsys):
     assert "give --network too" in refusal(capsys, "ros2", "--interface", "eth0")
     assert "must be from 0 to 232" in refusal(capsys, "ros2", "--domain", "233")
+    nowhere = ("--map", ROOM, "--start", "100,0,0", "--domain", DOMAIN + 2)
+    assert "cannot stand at its start" in refusal(capsys, "ros2", *nowhere)
+    assert "--resolution is about a map" in refusal(capsys, "ros2", "--resolution", "0.05")
     assert "no-such-interface" in refusal(
         capsys, "ros2", "--network", "--interface", "no-such-interface", "--domain", DOMAIN + 1
     )

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from app.cluster import ClusterOption
 from app.navigation.report import installed_versions
 from app.options import (
+    ABOUT_MAP,
     CountOption,
     FolderArgument,
     FolderOption,
@@ -45,6 +46,7 @@ from app.output import (
     ProgressBar,
     as_bad_input,
     claim_folder,
+    refuse_given,
     release_folder,
     say,
     to_json,
@@ -204,10 +206,7 @@ def wanted_plans(options: DatasetOptions, robot: Robot) -> RandomPlans:
 
     start = options.start
     if options.map is None:
-        if options.resolution or options.origin or options.unknown_is_free:
-            raise InputError(
-                "--resolution, --origin and --unknown-is-free are about a map: give --map too"
-            )
+        refuse_given(options, ABOUT_MAP, "is about a map: give --map too")
         start = start or ORIGIN
         x, y, yaw = options.goal_x or GOAL_X_M, options.goal_y or GOAL_Y_M, GOAL_YAW_RAD
         corners = (x.low, y.low, 0.0), (x.high, y.high, 0.0)

@@ -142,6 +142,10 @@ def run(options: PlanOptions) -> int:
 def _step_model(options: PlanOptions) -> tuple[str, StepModel]:
     """Whom to plan for: a robot of the project, or a YAML file in its place."""
     file = options.step_model
+    if file is not None:
+        refuse_given(
+            options, ("robot",), "goes without --step-model: that file says for whom to plan"
+        )
     is_yaml = options.robot.endswith((".yaml", ".yml"))
     if file is None and is_yaml and not is_robot_file(options.robot):
         file = Path(options.robot)

@@ -16,6 +16,7 @@ from app.output import (
     InputError,
     as_bad_input,
     make_folder,
+    refuse_given,
     require_writable,
     say,
     to_json,
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 CHECK_FORMAT = "robot-check/1"
 DRAFT_FORMAT = "robot-draft/1"
 SHEET, SHEET_ENDINGS = "robot.png", (".png", ".jpg", ".jpeg")
+_OF_SOURCES = ("name", "package", "forward", "feet", "sole", "torque_limit", "speed_limit")
 RobotArgument = Annotated[str, text("ROBOT"), tyro.conf.Positional]
 
 
@@ -177,6 +179,7 @@ def run_draft(options: RobotDraftOptions) -> int:
 
     guessed: tuple[str, ...] = ()
     if options.file in robot_names():
+        refuse_given(options, _OF_SOURCES, f"is for a URDF or an MJCF: {options.file} is complete")
         with as_bad_input(ValueError):
             document, model = document_of(find_robot(options.file))
         make_folder(options.out, option="--out")

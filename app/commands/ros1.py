@@ -13,13 +13,14 @@ from urllib.parse import urlsplit
 import tyro
 
 from app.options import (
+    ABOUT_MAP,
     OptionalFile,
     PlanningOptions,
     find_robot_with_limits,
     read_grid,
     text,
 )
-from app.output import ExitCode, InputError, as_bad_input, say
+from app.output import ExitCode, InputError, as_bad_input, refuse_given, say
 from app.workers import compile_planner
 from planner.robot_model import StepModel
 from planner.step_model_file import StepModelError, is_old, load_step_model, read_old
@@ -57,6 +58,8 @@ def run(options: Ros1Options) -> int:
     for word in options.remap:
         if not all(word.partition(":=")):
             raise InputError(f"{word!r} is no remapping; write NAME:=OTHER, such as goal:=/my_goal")
+    if options.map is None:
+        refuse_given(options, ABOUT_MAP, "is about a map: give --map too")
     grid = read_grid(options) if options.map is not None else None
     model, document, file = _step_model(options)
     # Here and not above: help and bad input need not wait for what these load.
@@ -105,6 +108,9 @@ def _step_model(options: Ros1Options) -> tuple[StepModel, dict[str, Any], Path |
     if file is None:
         robot = find_robot_with_limits(options.robot, options.policy)
         return robot.step_model, {}, None
+    refuse_given(
+        options, ("robot", "policy"), "goes without --step-model: that file says for whom to plan"
+    )
     with as_bad_input(StepModelError):
         _, model, _ = load_step_model(file)
         return model, read_old(file) if is_old(file) else {}, file

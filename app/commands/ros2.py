@@ -8,6 +8,7 @@ from typing import Annotated
 
 from app.controllers import load_walker
 from app.options import (
+    ABOUT_MAP,
     OptionalFile,
     PlanningOptions,
     Pose,
@@ -16,7 +17,7 @@ from app.options import (
     text,
     whole_number,
 )
-from app.output import ExitCode, InputError, say
+from app.output import ExitCode, InputError, as_bad_input, refuse_given, say
 from app.workers import compile_planner
 
 _MOST_DOMAIN = 232
@@ -54,6 +55,8 @@ def run(options: Ros2Options) -> int:
         raise InputError("--interface names how to reach other machines: give --network too")
     if options.domain > _MOST_DOMAIN:
         raise InputError(f"--domain {options.domain} must be from 0 to {_MOST_DOMAIN}")
+    if options.map is None:
+        refuse_given(options, ABOUT_MAP, "is about a map: give --map too")
     grid = read_grid(options) if options.map is not None else None
     robot, policy = load_walker(options.robot, options.policy)
     # Here and not above: it loads MuJoCo, and help and bad input need not wait for that.
@@ -64,8 +67,8 @@ def run(options: Ros2Options) -> int:
         domain=options.domain, network=options.network, interface=options.interface
     )
     compile_planner(robot.step_model, options.planner_options())
-    with contextlib.closing(
-        FootstepNode(
+    with as_bad_input(ValueError):
+        node = FootstepNode(
             transport,
             robot,
             policy,
@@ -75,7 +78,7 @@ def run(options: Ros2Options) -> int:
             seed=options.seed,
             sim_time=options.sim_time,
         )
-    ) as node:
+    with contextlib.closing(node):
         while not node.is_ready(wait_s=0.2):
             pass
         reach = "the network" if options.network else "this machine alone"
