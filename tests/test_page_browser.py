@@ -332,11 +332,55 @@ def test_maps_are_chosen_and_sent_and_the_page_stays_open(visit, address, tmp_pa
     visit.heading("Standing")
 
 
-@pytest.mark.slow
-def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
+@pytest.fixture(scope="module")
+def walked(hall: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a walk in the hall, with its replay."""
+    folder = tmp_path_factory.mktemp("walked")
     words = ["main.py", "navigate", "--map", hall, "--goal", "0.6,0,0"]
-    run_python(*words, "--out", tmp_path, "--html", tmp_path / "walk.html")
-    visit.page.goto((tmp_path / "walk.html").as_uri())
+    run_python(*words, "--out", folder, "--html", folder / "walk.html")
+    return folder
+
+
+@pytest.mark.slow
+def test_a_replay_fits_a_dark_phone(browser, walked):
+    """All of the map is in the window, floor and card are dark."""
+    page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
+    visit = Visit(page)
+    page.goto((walked / "walk.html").as_uri())
+    page.locator("#walk-step").wait_for(state="attached")
+    page.wait_for_function("document.documentElement.dataset.mantineColorScheme === 'dark'")
+    page.add_style_tag(content=".mantine-Notification-root, #walk { display: none }")
+
+    def picture() -> np.ndarray:
+        seen = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert seen is not None
+        return seen[:780].astype(int)  # the player's bar is below
+
+    # The scene fades in, again whenever so short a walk begins anew: it is to wait.
+    page.keyboard.press("Space")
+    before, bright = 0, 1
+    while bright < 10_000 or bright > 1.02 * before:
+        page.wait_for_timeout(2000)
+        seen = picture()
+        is_map = seen > seen[0, 0] + 20
+        before, bright = bright, int(np.count_nonzero(is_map))
+    assert not is_map[:, :8].any()
+    assert not is_map[:, -8:].any()
+    columns = np.flatnonzero(is_map.any(axis=0))
+    assert columns[-1] - columns[0] > 250
+    assert np.median(seen[is_map]) < 128
+    page.add_style_tag(content="#walk { display: block !important }")
+    red = page.evaluate(
+        "Number(/\\d+/.exec(getComputedStyle(document.querySelector('#walk')).backgroundColor))"
+    )
+    assert red < 64
+    assert visit.errors == []
+    page.close()
+
+
+@pytest.mark.slow
+def test_a_replay_opens_from_disk_and_plays(visit, walked):
+    visit.page.goto((walked / "walk.html").as_uri())
     shown = visit.page.locator("input[type=text], input[inputmode]").first
     shown.wait_for()
     visit.page.wait_for_function(
@@ -355,7 +399,7 @@ def test_a_replay_opens_from_disk_and_plays(visit, hall, tmp_path):
     else:
         pytest.fail("the slider never stayed where it was clicked")
     # The walk is over there: the panel tells all steps and how it ended.
-    steps = str(len(json.loads((tmp_path / "plan.json").read_text())["steps"]))
+    steps = str(len(json.loads((walked / "plan.json").read_text())["steps"]))
     visit.page.wait_for_function(
         "steps => document.querySelector('#walk-step').innerText.split(/\\s+/)[0] == steps",
         arg=steps,

@@ -14,8 +14,9 @@ import zstandard
 
 from app.navigation.placed import Placed
 from app.pictures.rendering import Recording
+from app.viewer.camera import FIELD_OF_VIEW_RAD
 from app.viewer.replay import FRAMES_PER_S, MAX_FRAMES, Story, frame_indices, write_replay
-from app.viewer.scene import robot_meshes_of
+from app.viewer.scene import DARK, LIGHT, robot_meshes_of
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan, feet_at
 from planner.robot_model import Side
@@ -26,9 +27,11 @@ STEP_S = 0.5
 GRID = OccupancyGrid(cells=np.zeros((40, 60), np.uint8), resolution_m=0.05)
 
 
-def recorded(page: str) -> dict:
+def recorded(page: str, *, dark: bool = False) -> dict:
     """What the page's player is given: durationSeconds, and messages as (time, message)."""
-    (embedded,) = re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', page)
+    (embedded,) = re.findall(
+        r"__VISER_EMBED_DATA__ = '([^']+)'" if dark else r'__VISER_EMBED_DATA__="([^"]+)"', page
+    )
     data = base64.b64decode(embedded)
     plain = zstandard.ZstdDecompressor().decompressobj().decompress(data[8:])
     length = int.from_bytes(plain[:8], "little")
@@ -97,6 +100,40 @@ def test_a_panel_tells_of_steps_errors_and_outcome(page):
 
 def test_it_plays_as_long_as_the_walk_and_a_little_more(page):
     assert recorded(page)["durationSeconds"] == pytest.approx(2.0 + 2.0)
+
+
+def test_in_the_dark_the_same_walk_is_on_a_dark_floor(page):
+    def told(dark: bool) -> tuple[list, list]:
+        messages = recorded(page, dark=dark)["messages"]
+        moved = [
+            (time_s, message["name"], message["position"])
+            for time_s, message in messages
+            if message["type"] == "SetPositionMessage"
+        ]
+        drawn = {m["name"]: m["props"] for _, m in messages if "props" in m}
+        return moved, drawn["/map/floor"]["color"]
+
+    (moved, light), (moved_too, dark) = told(False), told(True)
+    assert moved == moved_too
+    assert tuple(light) == LIGHT.floor
+    assert tuple(dark) == DARK.floor
+
+
+def test_cameras_show_the_whole_map_in_windows_of_all_shapes(page):
+    """A camera for each shape, the map's corners in the window of the narrowest that it is for."""
+    (text,) = re.findall(r"const cameras = (\[.*?\]), aspect = ", page)
+    cameras = json.loads(text)
+    assert cameras[0][0] < 390 / 844 < 2560 / 1080 < cameras[-1][0]
+    middle_m = np.array([-1.0 + 60 * 0.05 / 2, -1.0 + 40 * 0.05 / 2, 0.0])
+    corners_m = middle_m + np.array([[x, y, 0] for x in (-1.5, 1.5) for y in (-1.0, 1.0)])
+    for aspect, position_m in cameras:
+        forward = middle_m - np.array(position_m)
+        forward /= np.linalg.norm(forward)
+        up = np.cross([1.0, 0.0, 0.0], forward)
+        away_m = corners_m - np.array(position_m)
+        half = np.tan(FIELD_OF_VIEW_RAD / 2) * (away_m @ forward)
+        assert np.all(np.abs(away_m[:, 0]) < aspect * half)
+        assert np.all(np.abs(away_m @ up) < half)
 
 
 def test_it_is_small_and_names_no_script_elsewhere(page):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import json
 import re
@@ -10,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from viser.infra import StateSerializer
 
 from app.navigation.placed import Placed
 from app.output import ProgressBar, write_text
@@ -17,7 +19,16 @@ from app.pictures.canvas import LEFT, RIGHT, hex_of
 from app.pictures.rendering import Recording
 from app.viewer.camera import aim_pages, overview
 from app.viewer.markers import Footprints, Marker
-from app.viewer.scene import RobotScene, add_floor, add_lights, robot_meshes_of
+from app.viewer.scene import (
+    DARK,
+    LIGHT,
+    Palette,
+    RobotMeshes,
+    RobotScene,
+    add_floor,
+    add_lights,
+    robot_meshes_of,
+)
 from app.viewer.server import open_server
 from maps.grid import OccupancyGrid
 from planner.plan import FootstepPlan
@@ -29,6 +40,8 @@ MAX_FRAMES = 1600
 _PLOTTED = 600  # points of a plot
 # Of the window in which it is likely to be watched.
 _ASPECT = 1.6
+# Shapes of windows, from an upright phone to a wide screen; each has a camera of its own.
+_ASPECTS = tuple(np.geomspace(0.4, 2.5, 20).round(3).tolist())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,41 +60,67 @@ class Story:
 
 
 def write_replay(path: Path, grid: OccupancyGrid, robot: Robot, story: Story) -> None:
-    """Writes the walk as a web page that opens from disk.
+    """Writes the walk as a web page that opens from disk, light or dark as the browser asks for.
 
     Raises:
         InputError: The file cannot be written.
     """
+    meshes, frames = robot_meshes_of(robot), frame_indices(story.recording)
+    with ProgressBar("replay, frames", 2 * (len(frames) - 1)) as bar:
+        light, dark = (
+            _recorded(grid, robot, meshes, story, palette, bar, shown)
+            for palette, shown in ((LIGHT, 0), (DARK, len(frames) - 1))
+        )
+    title = f"<title>{html.escape(story.title)}</title>"
+    page = re.sub(r"<title>[^<]*</title>", lambda _: title, light.as_html(), count=1)
+    choice = _CHOICE.replace("DARK", base64.b64encode(dark.serialize()).decode())
+    cameras = [[aspect, _camera(grid, aspect)] for aspect in _ASPECTS]
+    choice = choice.replace("CAMERAS", json.dumps(cameras))
+    # After viser's own data, before the script that reads them.
+    head, rest = page.split("</head>", 1)
+    body, tail = rest.rsplit("</body>", 1)
+    write_text(path, f"{head}{choice}</head>{body}{panel_of(story)}</body>{tail}")
+
+
+def _recorded(
+    grid: OccupancyGrid,
+    robot: Robot,
+    meshes: RobotMeshes,
+    story: Story,
+    palette: Palette,
+    bar: ProgressBar,
+    shown: int,
+) -> StateSerializer:
+    """The walk on a map in these colours; the bar has shown so many frames before."""
     server = open_server(title="Footfall")
     try:
         # Before the recording begins: what comes later moves the camera while the walk plays.
         aim_pages(server, overview(grid, _ASPECT, beside_panel=False))
         add_lights(server.scene)
-        add_floor(server.scene, grid)
+        add_floor(server.scene, grid, palette)
         goal = Marker(server.scene, "/goal", height_m=lambda pose: float(grid.height_m(pose[:2])))
         goal.show(story.goal)
         stage = _Stage(
-            RobotScene(server.scene, robot_meshes_of(robot)),
-            Footprints(server.scene, grid, robot.step_model.foot),
+            RobotScene(server.scene, meshes), Footprints(server.scene, grid, robot.step_model.foot)
         )
-        frames = frame_indices(story.recording)
         stage.show(story, 0)
         recorder = server.get_scene_serializer()
-        time_s = story.recording.time_s
-        with ProgressBar("replay, frames", len(frames)) as bar:
-            for number, (before, now) in enumerate(pairwise(frames)):
-                recorder.insert_sleep(float(time_s[now] - time_s[before]))
-                stage.show(story, int(now))
-                bar.update(number + 1)
+        frames, time_s = frame_indices(story.recording), story.recording.time_s
+        for number, (before, now) in enumerate(pairwise(frames), start=shown + 1):
+            recorder.insert_sleep(float(time_s[now] - time_s[before]))
+            stage.show(story, int(now))
+            bar.update(number)
         # Time for the last frame to be seen before the player begins anew.
         recorder.insert_sleep(2.0)
-        page = recorder.as_html()
+        return recorder
     finally:
         server.stop()
-    title = f"<title>{html.escape(story.title)}</title>"
-    page = re.sub(r"<title>[^<]*</title>", lambda _: title, page, count=1)
-    head, tail = page.rsplit("</body>", 1)
-    write_text(path, f"{head}{panel_of(story)}</body>{tail}")
+
+
+def _camera(grid: OccupancyGrid, aspect: float) -> list[float]:
+    """Where the camera is, in m, that shows the whole map in a window of this shape."""
+    position_m = overview(grid, aspect, beside_panel=False).position_m
+    return [round(float(along_m), 3) for along_m in position_m]
 
 
 def panel_of(story: Story) -> str:
@@ -140,16 +179,34 @@ class _Stage:
         self._footprints.path(story.recording.qpos[: moment + 1 : 10, :2])
 
 
+# What viser's player reads before it begins: which recording, and from the address the camera.
+_CHOICE = """
+<script>
+(() => {
+  if (matchMedia('(prefers-color-scheme: dark)').matches) {
+    window.__VISER_EMBED_DATA__ = 'DARK';
+    window.__VISER_EMBED_CONFIG__ = {darkMode: true};
+  }
+  const cameras = CAMERAS, aspect = innerWidth / innerHeight, address = new URL(location.href);
+  const [, position] = cameras.filter(([least]) => least <= aspect).pop() || cameras[0];
+  address.searchParams.set('initialCameraPosition', position.join(','));
+  history.replaceState(null, '', address);
+})();
+</script>
+"""
 _PANEL = """
 <style>
 #walk { position: fixed; right: 12px; top: 12px; width: 300px; z-index: 4; padding: 8px 12px;
   font: 13px/1.5 system-ui, sans-serif; color: #2d3036; background: #ffffffe6; border-radius: 6px;
-  box-shadow: 0 1px 4px #0003; }
+  box-shadow: 0 1px 4px #0003; --told: #6b7078; --behind: #f3f4f6; }
+@media (prefers-color-scheme: dark) {
+  #walk { color: #e6e8eb; background: #24272ce6; --told: #a3a9b2; --behind: #34383f; }
+}
 #walk summary { font-weight: 600; cursor: pointer; overflow-wrap: anywhere; }
 #walk table { border-spacing: 0; font-variant-numeric: tabular-nums; }
-#walk td:first-child { color: #6b7078; padding-right: 10px; }
+#walk td:first-child { color: var(--told); padding-right: 10px; }
 #walk i { display: inline-block; width: 18px; height: 10px; margin-right: 6px; }
-#walk svg { width: 100%; height: 56px; background: #f3f4f6; display: block; }
+#walk svg { width: 100%; height: 56px; background: var(--behind); display: block; }
 @media (max-width: 700px) { #walk { width: 200px; font-size: 11px; } }
 </style>
 <details id="walk" open>
@@ -176,12 +233,12 @@ right foot<br>pale as planned, full the next two, frames as placed</div>
   const y = share => (height - 4 - share * (height - 8)).toFixed(1);
   const line = walk.time.map((time, k) =>
     x(time) + ',' + y((walk.pelvis[k] - low) / Math.max(high - low, 1e-3))).join(' ');
-  const cursor = '<line class="now" y1="0" y2="' + height + '" stroke="#2d3036"/>';
+  const cursor = '<line class="now" y1="0" y2="' + height + '" stroke="currentColor"/>';
   const bars = walk.steps.map(([time, side, error]) => '<line x1="' + x(time) + '" x2="' + x(time)
     + '" y1="' + y(0) + '" y2="' + y(error / most) + '" stroke-width="4" stroke="'
     + colours[side] + '"/>').join('');
   for (const [id, drawn] of [['height',
-    '<polyline fill="none" stroke="#70607a" points="' + line + '"/>'], ['errors', bars]]) {
+    '<polyline fill="none" stroke="#9a6fb0" points="' + line + '"/>'], ['errors', bars]]) {
     at(id).setAttribute('viewBox', '0 0 ' + width + ' ' + height);
     at(id).setAttribute('preserveAspectRatio', 'none');
     at(id).innerHTML = drawn + cursor;

@@ -154,7 +154,9 @@ def add_lights(scene: viser.SceneApi) -> None:
     scene.add_light_ambient("/light/sky", intensity=_SKY)
 
 
-def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
+def add_floor(
+    scene: viser.SceneApi, grid: OccupancyGrid, palette: Palette = LIGHT
+) -> viser.BoxHandle:
     """Draws the map; returns a slab of the size of the floor, to be clicked on.
 
     The slab lies out of sight below the floor, because browsers colour what the pointer is on.
@@ -166,7 +168,7 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
     scene.add_frame("/map", show_axes=False, position=(x_m, y_m, 0.0), wxyz=turned(yaw_rad))
     centre = (width_m / 2, height_m / 2)
     terraces = terraces_of(grid, grid.cells == Cell.OCCUPIED)
-    lowest_m, colours = terraces.lowest_m, map_colours(LIGHT)
+    lowest_m, colours = terraces.lowest_m, map_colours(palette)
     for name, depth_m in (("floor", _FLOOR_THICKNESS_M / 2), ("slab", _SLAB_DEPTH_M)):
         # Nobody sees the slab past the floor's edge from where nothing but the floor hides it.
         inset_m = 0.0 if name == "floor" else min(_SLAB_DEPTH_M, width_m / 4, height_m / 4)
@@ -183,8 +185,8 @@ def add_floor(scene: viser.SceneApi, grid: OccupancyGrid) -> viser.BoxHandle:
         height=height_m,
         cell_size=0.5,
         section_size=1.0,
-        cell_color=LIGHT.line,
-        section_color=LIGHT.line,
+        cell_color=palette.line,
+        section_color=palette.line,
         cell_thickness=0.6,
         section_thickness=1.0,
         position=(*centre, lowest_m + _LINES_HEIGHT_M),
