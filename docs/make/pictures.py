@@ -178,9 +178,12 @@ def send_robot(page: Any, goal: str, steps: int, *, follow: bool) -> None:
     page.wait_for_function(
         f"parseInt((/step (\\d+) of/.exec(document.body.innerText) || [0, 0])[1]) >= {steps}"
     )
-    # viser complains of a browser that draws without a graphics card.
+    # A browser that draws without a graphics card lags behind a robot that walks on.
+    page.get_by_role("button", name="Pause", exact=True).click()
+    page.get_by_text("Walking").first.scroll_into_view_if_needed()
+    # viser complains of such a browser.
     page.add_style_tag(content=".mantine-Notification-root { display: none }")
-    page.wait_for_timeout(1000)
+    page.wait_for_timeout(5000)
 
 
 def make_stairs_picture(options: argparse.Namespace) -> None:
