@@ -143,7 +143,7 @@ class _Floor:
         ):
             box = _box(self._in_grid(at), shape, _OVERLAP_TOLERANCE_M)
             if self._hits(box, margin_m):
-                yield f"{name} hits something at {at[0]:.3f}, {at[1]:.3f}"
+                yield f"{name} hits something at {at[0]:z.3f}, {at[1]:z.3f}"
 
     def height_violations(
         self, support: FloatArray, pose: FloatArray, swing: Side
@@ -159,7 +159,7 @@ class _Floor:
         heights = self._heights_below(tread, 0.0)
         near = self._heights_below(tread, 3 * _TOLERANCE_M)
         if len(heights) == 0 or np.ptp(heights) > model.level_m + _TOLERANCE_M:
-            yield f"the ground at {pose[0]:.3f}, {pose[1]:.3f} is not level: {heights}"
+            yield f"the ground at {pose[0]:z.3f}, {pose[1]:z.3f} is not level: {heights}"
         elif not heights.max() - _TOLERANCE_M <= pose[2] <= near.max() + _TOLERANCE_M:
             yield f"z {pose[2]} is not the height of the ground, {heights.max()}"
         rise_m = pose[2] - support[2]

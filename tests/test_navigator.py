@@ -229,6 +229,9 @@ def test_pairs_that_no_way_joins_are_counted_apart(gap_m):
     for place in places:
         assert place["width_m"] == pytest.approx(gap_m, abs=0.11)
         assert (place["x"], place["y"]) == pytest.approx((x_m, gap_y_m), abs=0.2)
+    # A place is not said to be at -0.0.
+    shifted = [place | {"x": -0.01, "y": -0.04} for place in places]
+    assert ("at 0.0,0.0" in table(summary | {"narrow_places": shifted})) == bool(gap_m)
     text = table(summary)
     assert "1 (33.3 %), of 1 that a way joins" in text
     assert "2 pairs lie in parts that this robot cannot pass between" in text

@@ -93,7 +93,7 @@ def table(summary: Mapping[str, Any]) -> str:
         rows["reached"] += f", of {walks - parted} that a way joins"
         rows["no_path"] += f"; {parted} pairs lie in parts that this robot cannot pass between"
         rows["no_path"] += "".join(
-            f", {place['width_m']:.2f} m wide at {place['x']:.1f},{place['y']:.1f}"
+            f", {place['width_m']:.2f} m wide at {place['x']:z.1f},{place['y']:z.1f}"
             for place in summary["narrow_places"][:3]
         )
     rows["steps taken"] = f"{summary['steps_taken']}, {summary['recovery_steps']} against a push"

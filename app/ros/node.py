@@ -156,7 +156,7 @@ class FootstepNode:
         notice = replanner.notice
         if notice is not None and notice is not self._notice:
             near = notice.alternative
-            what = "" if near is None else "; {:.2f},{:.2f},{:.2f} would do".format(*near)
+            what = "" if near is None else "; {:z.2f},{:z.2f},{:z.2f} would do".format(*near)
             self._warn(f"warning: {one_line(notice.text)}{what}")
         self._notice = notice
 
@@ -191,7 +191,7 @@ class FootstepNode:
         grid = self._replanner.navigator.grid
         blocked, free = place_to_stand(self._world(grid), pose)
         if blocked:
-            near = "" if free is None else "; {:.2f},{:.2f},{:.2f} would do".format(*free)
+            near = "" if free is None else "; {:z.2f},{:z.2f},{:z.2f} would do".format(*free)
             raise ValueError(f"the robot cannot stand there: {blocked}{near}")
         self._replanner.take(self._standing(grid, pose))
 
