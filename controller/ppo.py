@@ -20,11 +20,17 @@ from controller.observation import SCALED_LIMIT, critic_fields, mirror_map, poli
 from controller.rewards import RewardSchedule
 
 MirrorMap = tuple[np.ndarray, np.ndarray]
+Layers = tuple[tuple[np.ndarray, np.ndarray], ...]  # (weight, bias) of each
 
 
 @dataclass(frozen=True, kw_only=True)
 class PpoConfig:
-    """Settings of PPO. Learning rate and noise change linearly from first to last value."""
+    """Settings of PPO. Learning rate and noise change linearly from first to last value.
+
+    `symmetric` networks treat left and right alike; without `half_sitting_offset` the first actions
+    ask for joints at 0 instead of half-sitting. Both are only ever switched off to show what they
+    are for.
+    """
 
     robots: int = 256
     ticks_per_update: int = 64
@@ -37,6 +43,8 @@ class PpoConfig:
     lam: float = 0.95
     clip: float = 0.2
     learner_threads: int = 2
+    symmetric: bool = True
+    half_sitting_offset: bool = True
 
     @property
     def samples_per_update(self) -> int:
@@ -111,11 +119,9 @@ class SymmetricNetwork(torch.nn.Module):
         output, image = self.network(torch.cat([observation, mirrored])).chunk(2)
         return 0.5 * (output + image[:, self._output_index] * self._output_sign)
 
-    def layers(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """It as one plain network of twice the width: layers of (weight, bias) arrays."""
-        linear = [m for m in self.network.modules() if isinstance(m, torch.nn.Linear)]
-        arrays = [(m.weight.detach().cpu().numpy(), m.bias.detach().cpu().numpy()) for m in linear]
-        (first, first_bias), *middle, (last, last_bias) = arrays
+    def layers(self) -> Layers:
+        """It as one plain network of twice the width."""
+        (first, first_bias), *middle, (last, last_bias) = plain_layers(self.network)
         image = np.zeros_like(first)
         image[:, self._index.cpu().numpy()] = first * self._sign.cpu().numpy()
         index, sign = self._output_index.cpu().numpy(), self._output_sign.cpu().numpy()
@@ -127,6 +133,15 @@ class SymmetricNetwork(torch.nn.Module):
                 0.5 * (last_bias + last_bias[index] * sign),
             ),
         )
+
+
+def plain_layers(network: torch.nn.Module) -> Layers:
+    """The linear layers of a network."""
+    if isinstance(network, SymmetricNetwork):
+        return network.layers()
+    linear = [part for part in network.modules() if isinstance(part, torch.nn.Linear)]
+    arrays = [(part.weight, part.bias) for part in linear]
+    return tuple((w.detach().cpu().numpy(), b.detach().cpu().numpy()) for w, b in arrays)
 
 
 class RankedPPO(PPO):  # type: ignore[misc]
@@ -181,8 +196,14 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig, multi_gpu: Mapping[str, int] | 
         ppo = PPO.construct_algorithm(env.get_observations(), env, settings, str(env.device))
     robot = env.task.robot
     seen, alone = policy_fields(robot), (np.array([0]), np.array([1.0]))
-    ppo.actor.mlp = SymmetricNetwork(ppo.actor.mlp, mirror_map(seen), robot.mirror_joints)
-    ppo.critic.mlp = SymmetricNetwork(ppo.critic.mlp, mirror_map(seen + critic_fields()), alone)
+    if not config.half_sitting_offset:
+        # An action is an offset from half-sitting: so its mean begins where the joints are at 0.
+        *_, last = (part for part in ppo.actor.mlp.modules() if isinstance(part, torch.nn.Linear))
+        with torch.no_grad():
+            last.bias -= torch.from_numpy(robot.half_sitting_rad).float()
+    if config.symmetric:
+        ppo.actor.mlp = SymmetricNetwork(ppo.actor.mlp, mirror_map(seen), robot.mirror_joints)
+        ppo.critic.mlp = SymmetricNetwork(ppo.critic.mlp, mirror_map(seen + critic_fields()), alone)
     for model in (ppo.actor, ppo.critic):
         model.to(env.device)
     if multi_gpu is not None:

@@ -233,6 +233,9 @@ QUIET: Mapping[str, float] = {
     "action_smoothness": 0.02,
 }
 PRESETS = {"paper": PAPER, "precise": PRECISE, "quiet": QUIET}
+# Terms that ask each foot to bear and rest, or to hang and move, as the clock says: those that
+# Singh et al. 2022 call periodic, and the one that is for `foot_speed` in `QUIET`.
+PERIODIC = ("ground_force", "foot_speed", "stance_at_rest")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -33,7 +33,14 @@ from controller.checkpoint import (
 from controller.curriculum import Stage
 from controller.env import Transition, WalkTask
 from controller.policy import Policy, policy_for, save_policy
-from controller.ppo import RslWalkEnv, TrainConfig, load_learner, make_ppo, set_progress
+from controller.ppo import (
+    RslWalkEnv,
+    TrainConfig,
+    load_learner,
+    make_ppo,
+    plain_layers,
+    set_progress,
+)
 from controller.ranks import Ranks
 from controller.step_sequences import PlannedSteps
 from sim.robot import Robot
@@ -326,7 +333,7 @@ class Trainer:
         config = self.config
         return policy_for(
             self.robot,
-            self.ppo.actor.mlp.layers(),
+            plain_layers(self.ppo.actor.mlp),
             mujoco_version=mujoco.__version__,
             trained={
                 "command": self.command,

@@ -67,6 +67,22 @@ def test_run_from_nothing_makes_the_corpus_that_dataset_makes(tmp_path, trainers
     assert trainers[2].command.endswith("--corpus CORPUS --out DIR")
     assert not (tmp_path / "b" / "corpus").exists()
 
+    whole = trainers[0].config
+    for what in ("periodic", "symmetry", "offset"):
+        out = tmp_path / what
+        assert main(["train", "--out", str(out), "--corpus", str(other), "--without", what]) == 0
+        config = trainers[-1].config
+        assert trainers[-1].command.endswith(f"--without {what} --corpus CORPUS --out DIR")
+        assert config.ppo.symmetric == (what != "symmetry")
+        assert config.ppo.half_sitting_offset == (what != "offset")
+        for before, after in (
+            (whole.warm_up, config.warm_up),
+            (whole.task.reward, config.task.reward),
+        ):
+            dropped = before.keys() - after.keys()
+            assert ("ground_force" in dropped) == (what == "periodic")
+            assert all(before[term] == after[term] for term in after)
+
 
 def test_folder_to_resume_from_must_hold_a_run(tmp_path, trainers, capsys):
     missing = tmp_path / "typo"

@@ -14,7 +14,7 @@ from controller.curriculum import Curriculum, Stage
 from controller.env import TaskConfig, WalkTask
 from controller.observation import critic_fields, mirror_map, policy_fields
 from controller.policy import Policy, PolicyError, load_policy, policy_for, save_policy
-from controller.ppo import PpoConfig, RslWalkEnv, TrainConfig, make_ppo
+from controller.ppo import PpoConfig, RslWalkEnv, TrainConfig, make_ppo, plain_layers
 from controller.runner import Trainer
 from controller.step_cursor import STANCE
 from controller.step_sequences import MAX_STEPS, MODES, PlannedSteps, draw_sequence
@@ -44,7 +44,7 @@ def test_networks_treat_left_and_right_alike(name):
     learner = make_ppo(RslWalkEnv(WalkTask(robot, count=2, seed=0)), TINY.ppo)
     for parameter in (*learner.actor.mlp.parameters(), *learner.critic.mlp.parameters()):
         torch.nn.init.normal_(parameter)
-    policy = policy_for(robot, learner.actor.mlp.layers())
+    policy = policy_for(robot, plain_layers(learner.actor.mlp))
     index, sign = mirror_map(policy_fields(robot))
     seen = rng.normal(size=(20, len(index)))
     action, image = policy.act_scaled(seen), policy.act_scaled(seen[:, index] * sign)
@@ -61,6 +61,35 @@ def test_networks_treat_left_and_right_alike(name):
         for x in (seen, seen[:, index] * sign)
     )
     assert image == pytest.approx(value, abs=1e-4 * float(np.abs(value).max()))
+
+
+def test_without_symmetry_left_and_right_are_learned_apart():
+    """And the layers that are saved are still the network that was trained."""
+    rng, (index, sign) = np.random.default_rng(3), mirror_map(policy_fields(ROBOT))
+    learner = make_ppo(
+        RslWalkEnv(WalkTask(ROBOT, count=2, seed=0)), replace(TINY.ppo, symmetric=False)
+    )
+    policy = policy_for(ROBOT, plain_layers(learner.actor.mlp))
+    seen = rng.normal(size=(20, len(index)))
+    action, image = policy.act_scaled(seen), policy.act_scaled(seen[:, index] * sign)
+    joint_index, joint_sign = ROBOT.mirror_joints
+    assert np.abs(image - action[:, joint_index] * joint_sign).max() > 0.1 * np.abs(action).max()
+    trained = learner.actor.mlp(torch.from_numpy(seen).float()).detach().numpy()
+    assert trained == pytest.approx(action, abs=1e-5)
+
+
+def test_without_the_offset_the_first_targets_are_about_joints_at_zero():
+    """The same weights ask for targets that lie by half-sitting lower, and are still symmetric."""
+    env, targets_rad = RslWalkEnv(WalkTask(ROBOT, count=2, seed=0)), []
+    for half_sitting_offset in (True, False):
+        torch.manual_seed(5)
+        learner = make_ppo(env, replace(TINY.ppo, half_sitting_offset=half_sitting_offset))
+        seen = np.random.default_rng(1).normal(size=(20, env.task.observe().shape[1]))
+        action = policy_for(ROBOT, plain_layers(learner.actor.mlp)).act_scaled(seen)
+        targets_rad.append(ROBOT.half_sitting_rad + action)
+    with_offset, without = targets_rad
+    half_sitting = np.tile(ROBOT.half_sitting_rad, (20, 1))
+    assert with_offset - without == pytest.approx(half_sitting, abs=1e-5)
 
 
 def small_policy(robot, seed=0) -> Policy:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,6 +69,9 @@ class TrainOptions:
     reward: Annotated[str, choice("quiet", "precise", "paper")] = "quiet"
     """Which reward: upright and quiet, the precise one of old, or the paper's, such as quiet."""
 
+    without: Annotated[str, choice("none", "periodic", "symmetry", "offset")] = "none"
+    """What to leave out, to see what it is for, such as symmetry: docs/training.md."""
+
     curriculum: Annotated[str, choice("measured", "paper", "flat")] = "measured"
     """When stairs come: with success, on the paper's schedule, or never, such as measured."""
 
@@ -120,7 +124,7 @@ def train(options: TrainOptions, ranks: Ranks) -> None:
     from controller.env import TaskConfig
     from controller.ppo import PpoConfig, TrainConfig
     from controller.ranks import find_device
-    from controller.rewards import PRECISE, PRESETS
+    from controller.rewards import PERIODIC, PRECISE, PRESETS
     from controller.runner import Trainer
 
     robot = find_robot(options.robot)
@@ -133,15 +137,24 @@ def train(options: TrainOptions, ranks: Ranks) -> None:
         return read_corpus(options, robot)
 
     planned = ranks.from_first(prepare)
+    dropped = PERIODIC if options.without == "periodic" else ()
+
+    def weights(preset: Mapping[str, float]) -> dict[str, float]:
+        return {term: weight for term, weight in preset.items() if term not in dropped}
+
     config = TrainConfig(
         robot=robot.name,
         samples=options.samples,
         seed=options.seed,
         corpus=planned.digest,
         curriculum=curriculum,
-        task=TaskConfig(reward=dict(PRESETS[options.reward])),
-        warm_up=dict(PRECISE) if options.reward == "quiet" else None,
-        ppo=PpoConfig(robots=options.simulations),
+        task=TaskConfig(reward=weights(PRESETS[options.reward])),
+        warm_up=weights(PRECISE) if options.reward == "quiet" else None,
+        ppo=PpoConfig(
+            robots=options.simulations,
+            symmetric=options.without != "symmetry",
+            half_sitting_offset=options.without != "offset",
+        ),
     )
     trainer = Trainer(
         robot,
@@ -295,6 +308,7 @@ def command_line(options: TrainOptions, ranks: int = 1) -> str:
         ("python" if ranks == 1 else f"torchrun --nproc-per-node {ranks}")
         + f" main.py train --robot {options.robot} --samples {options.samples} "
         f"--seed {options.seed} --reward {options.reward} --curriculum {options.curriculum}"
+        + ("" if options.without == "none" else f" --without {options.without}")
         + ("" if options.rise is None else f" --rise {options.rise:g}")
         + ("" if options.simulations == 256 else f" --simulations {options.simulations}")
         + ("" if options.corpus is None else " --corpus CORPUS")
