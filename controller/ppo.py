@@ -200,7 +200,7 @@ def make_ppo(env: RslWalkEnv, config: PpoConfig, multi_gpu: Mapping[str, int] | 
         # An action is an offset from half-sitting: so its mean begins where the joints are at 0.
         *_, last = (part for part in ppo.actor.mlp.modules() if isinstance(part, torch.nn.Linear))
         with torch.no_grad():
-            last.bias -= torch.from_numpy(robot.half_sitting_rad).float()
+            last.bias.sub_(torch.from_numpy(robot.half_sitting_rad).float())
     if config.symmetric:
         ppo.actor.mlp = SymmetricNetwork(ppo.actor.mlp, mirror_map(seen), robot.mirror_joints)
         ppo.critic.mlp = SymmetricNetwork(ppo.critic.mlp, mirror_map(seen + critic_fields()), alone)
