@@ -231,10 +231,12 @@ def simpler_heuristic(
     rate = _cost_of_metre(model, tables, counts_steps=name == "steps")
     col = np.arange(lattice.cols) - lattice.origin_col
     row = np.arange(lattice.rows) - lattice.origin_row
-    away_m = np.hypot(col, row[:, None]).reshape(-1) * lattice.cell_m
+    # In place and not by np.hypot: a plan whose time is up may still wait for this table.
+    away_um = np.sqrt((col * col + (row * row)[:, None]).astype(float)).reshape(-1)
+    away_um *= lattice.cell_m * rate * MICRO
     # Ends lie around the goal, none farther off than this.
-    away_m -= away_m[ends // rows + potential.cell_offsets(lattice.cols)[ends % rows]].max()
-    cost_um = np.clip(np.floor(away_m * rate * MICRO), 0, NOWHERE_UM - 1).astype(np.int32)
+    away_um -= away_um[ends // rows + potential.cell_offsets(lattice.cols)[ends % rows]].max()
+    cost_um = np.clip(away_um, 0, NOWHERE_UM - 1, out=away_um).astype(np.int32)
     potential_um = np.full(rows, final_cost_um(model), np.int64)
     return heuristic_by_path(lattice, potential, cost_um + 1, potential_um)
 

@@ -21,8 +21,8 @@ from planner.time_limit import check_time
 
 Cells = NDArray[np.int64]
 
-_BISECTIONS = 12
-_LABEL_S = 1e-8  # that a cell takes, about, where parts of the field are told apart
+_LEVELS = 1 << 12  # that clearances are told apart by, up to that of the narrower end
+_FLOOD_S = 2e-8  # that a cell takes, about, where the field is flooded
 _ANGLES, _RAY_M, _RAY_STEP_M = 64, 3.0, 1e-3
 
 
@@ -51,15 +51,12 @@ def narrowest_passage(
 
     None where no way leads, or where an end is as narrow as any place between.
     """
-    low, high = 0.0, float(min(clearance_m[start], clearance_m[goal]))
-    if not is_way(clearance_m, low, start, goal) or is_way(clearance_m, high, start, goal):
+    check_time(_FLOOD_S * clearance_m.size)
+    level_m = float(min(clearance_m[start], clearance_m[goal])) / _LEVELS
+    level = _widest_level(clearance_m, level_m, start, goal) if level_m > 0 else -1
+    if level < 0:
         return None
-    for _ in range(_BISECTIONS):
-        middle = (low + high) / 2
-        if is_way(clearance_m, middle, start, goal):
-            low = middle
-        else:
-            high = middle
+    low, high = level * level_m, (level + 1) * level_m
     way = _widest_way(clearance_m, low, high, start, goal)
     is_narrow = clearance_m[way[:, 0], way[:, 1]] <= high
     first = int(np.argmax(is_narrow))
@@ -96,15 +93,58 @@ def components(clearance_m: NDArray[np.float32], radius_m: float) -> NDArray[np.
     return np.asarray(label, np.int32)
 
 
-def is_way(
-    clearance_m: NDArray[np.float32], radius_m: float, start: tuple[int, ...], goal: tuple[int, ...]
-) -> bool:
-    """Whether a way off the outermost cells keeps more than a clearance between two cells."""
-    check_time(_LABEL_S * clearance_m.size)
-    inner = np.full_like(clearance_m, -np.inf)
-    inner[1:-1, 1:-1] = clearance_m[1:-1, 1:-1]
-    label = components(inner, radius_m)
-    return bool(label[start] == label[goal] > 0)
+def _widest_level(
+    clearance_m: NDArray[np.float32], level_m: float, start: tuple[int, int], goal: tuple[int, int]
+) -> int:
+    """The greatest k of which some way between two cells has more than k level_m; -1 for none.
+
+    Ways keep off the field's outermost cells. More than _LEVELS - 1 counts as that.
+    """
+    cols = clearance_m.shape[1]
+    level = np.full(clearance_m.shape, -1, np.int16)
+    steps = np.minimum(clearance_m[1:-1, 1:-1] / np.float32(level_m), _LEVELS)
+    level[1:-1, 1:-1] = np.maximum(np.ceil(steps) - 1, -1)
+    if min(level[start], level[goal]) < 0:
+        return -1
+    first, last = start[0] * cols + start[1], goal[0] * cols + goal[1]
+    following = np.full(clearance_m.size, _UNSEEN, np.int32)
+    heads = np.full(_LEVELS, -1, np.int32)
+    return int(_flood_levels(level.reshape(-1), cols, first, last, following, heads))
+
+
+_UNSEEN = -2
+
+
+@njit_no_refcount
+def _flood_levels(
+    level: NDArray[np.int16],
+    cols: int,
+    first: int,
+    last: int,
+    following: NDArray[np.int32],
+    heads: NDArray[np.int32],
+) -> int:
+    """The level at which a flood that goes on at the highest one that it can comes to a cell.
+
+    It is -1 where none leads there. `heads` and `following` hold a list of cells for each level.
+    """
+    now = int(level[first])
+    heads[now], following[first] = first, -1
+    while now >= 0:
+        cell: int = np.int64(heads[now])  # type: ignore[assignment]
+        if cell < 0:
+            now -= 1
+            continue
+        if cell == last:
+            break
+        heads[now] = following[cell]
+        for k in range(4):
+            to = cell + (1, -1, cols, -cols)[k]
+            if following[to] == _UNSEEN and level[to] >= 0:
+                at = min(np.int64(level[to]), now)
+                following[to] = heads[at]
+                heads[at] = to
+    return now
 
 
 def _widest_way(
@@ -122,7 +162,7 @@ def _widest_way(
     parent = np.full(rows * cols, -1, np.int32)
     queues = np.empty((2, rows * cols + 1), np.int32)
     first, last = start[0] * cols + start[1], goal[0] * cols + goal[1]
-    _flood_widest(clearance_m.reshape(-1), cols, low_m, high_m, first, parent, queues)
+    _flood_widest(clearance_m.reshape(-1), cols, low_m, high_m, (first, last), parent, queues)
     way = [last]
     while way[-1] != first:
         way.append(int(parent[way[-1]]))
@@ -135,22 +175,23 @@ def _flood_widest(
     cols: int,
     low_m: float,
     high_m: float,
-    first: int,
+    ends: tuple[int, int],
     parent: NDArray[np.int32],
     queues: NDArray[np.int32],
 ) -> None:
-    """Fills in the parents, -1 where none leads, by 0-1 breadth-first search: narrow cells cost 1.
+    """Fills in the parents on a way between ends by 0-1 breadth-first search: narrow cells cost 1.
 
     Cells of one cost in the order in which they were come to, lest the way winds through all of a
     hall. The field's outermost cells count as no ground to go on.
     """
     rows = len(clearance_m) // cols
+    first, last = ends
     parent[first] = first
     queues[0, 0] = first
     now, size = 0, 1
-    while size > 0:
+    while size > 0 and parent[last] < 0:
         at = later = 0
-        while at < size:
+        while at < size and parent[last] < 0:
             cell: int = np.int64(queues[now, at])  # type: ignore[assignment]
             at += 1
             row, col = cell // cols, cell % cols
@@ -174,23 +215,42 @@ def _shortest_chord(
     clearance_m: NDArray[np.float32], size_m: float, row: int, col: int
 ) -> Floats | None:
     """Ends (2, 2) x, y of the shortest line through a cell from obstacle to obstacle."""
+    ray_m = min(4 * float(clearance_m[row, col]), _RAY_M)
+    while True:
+        length_m = _ray_lengths_m(clearance_m, size_m, row, col, ray_m)
+        both_m = length_m[:_ANGLES] + length_m[_ANGLES:]
+        best = int(np.argmin(both_m))
+        # A line of which one ray did not end is longer.
+        if both_m[best] <= ray_m or ray_m >= _RAY_M:
+            break
+        ray_m = min(2 * ray_m, _RAY_M)
+    if not np.isfinite(both_m[best]):
+        return None
+    angle = _angles_rad()
     x, y = (col + 0.5) * size_m, (row + 0.5) * size_m
-    angle = np.arange(2 * _ANGLES) * (math.pi / _ANGLES)
-    ray = np.arange(0.0, _RAY_M, _RAY_STEP_M)
+    ends = [best, best + _ANGLES]
+    return np.array([x, y]) + length_m[ends, None] * np.column_stack(
+        [np.cos(angle[ends]), np.sin(angle[ends])]
+    )
+
+
+def _angles_rad() -> Floats:
+    """Directions (2 _ANGLES,) all around."""
+    return np.asarray(np.arange(2 * _ANGLES) * (math.pi / _ANGLES))
+
+
+def _ray_lengths_m(
+    clearance_m: NDArray[np.float32], size_m: float, row: int, col: int, most_m: float
+) -> Floats:
+    """Lengths (2 _ANGLES,) of rays all around from a cell to obstacles, inf beyond a length."""
+    x, y = (col + 0.5) * size_m, (row + 0.5) * size_m
+    angle, ray = _angles_rad(), np.arange(0.0, most_m, _RAY_STEP_M)
     cols = np.floor((x + np.cos(angle)[:, None] * ray) / size_m).astype(int)
     rows = np.floor((y + np.sin(angle)[:, None] * ray) / size_m).astype(int)
     height, width = clearance_m.shape
     inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
     hit = ~inside | (clearance_m[rows.clip(0, height - 1), cols.clip(0, width - 1)] <= 0.0)
-    length_m = np.where(hit.any(axis=1), ray[hit.argmax(axis=1)], np.inf)
-    both_m = length_m[:_ANGLES] + length_m[_ANGLES:]
-    best = int(np.argmin(both_m))
-    if not np.isfinite(both_m[best]):
-        return None
-    ends = [best, best + _ANGLES]
-    return np.array([x, y]) + length_m[ends, None] * np.column_stack(
-        [np.cos(angle[ends]), np.sin(angle[ends])]
-    )
+    return np.where(hit.any(axis=1), ray[hit.argmax(axis=1)], np.inf)
 
 
 def close_passage(clearance_m: NDArray[np.float32], size_m: float, passage: Passage) -> None:
