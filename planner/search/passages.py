@@ -141,7 +141,7 @@ def _flood_levels(
         for k in range(4):
             to = cell + (1, -1, cols, -cols)[k]
             if following[to] == _UNSEEN and level[to] >= 0:
-                at = min(np.int64(level[to]), now)
+                at = min(int(level[to]), now)
                 following[to] = heads[at]
                 heads[at] = to
     return now
