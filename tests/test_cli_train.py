@@ -118,7 +118,10 @@ def test_corpus_of_another_robot_is_refused(tmp_path, trainers, capsys):
     assert main(["dataset", "--count", "1", "--out", str(plans)]) == 0
     capsys.readouterr()
     words = ["--robot", "hrp5p", "--corpus", plans, "--out", tmp_path / "run"]
-    assert "the plans are for robot 'jvrc1', not for 'hrp5p'" in refusal(capsys, "train", *words)
+    assert refusal(capsys, "train", *words) == (
+        f"error: --corpus: {plans}: the plans are for robot 'jvrc1', not for 'hrp5p'; "
+        "make one by `dataset --robot hrp5p --out DIR`\n"
+    )
     corpus_of([], "hrp5p").save(plans, {})
     assert "no plan has a step" in refusal(capsys, "train", *words)
     (plans / PLANS).write_bytes(b"other")

@@ -116,6 +116,15 @@ def renamed(name, other):
     return lambda head, cells: ([other if word == name else word for word in head], cells)
 
 
+def column_twice(head, cells):
+    return [*head, head[1]], np.hstack([cells, cells[:, 1:2]])
+
+
+def wider_than_its_head(head, cells):
+    """As where a comma stands in a number."""
+    return head, np.hstack([cells, cells[:, :1]])
+
+
 def swapped_rows(head, cells):
     cells[[100, 101]] = cells[[101, 100]]
     return head, cells
@@ -146,6 +155,8 @@ def turned_about_x(head, cells):
         (renamed("q_L_KNEE_rad", "q_L_KNEE_deg"), "there is q_L_KNEE_deg"),
         (without_column("quat_w"), "no column quat_w"),
         (without_column("time_s"), "no column time_s"),
+        (column_twice, "column q_L_HIP_P_rad is there twice"),
+        (wider_than_its_head, "cells, the first "),
         (scaled("time_s", by=1000), "time_s: rows are 25 apart"),
         (scaled("q_L_KNEE_rad", by=180 / math.pi), "q_L_KNEE_rad: "),
         (scaled("target_R_HIP_P_rad", by=180 / math.pi), "target_R_HIP_P_rad: "),

@@ -258,7 +258,13 @@ def read_corpus(options: TrainOptions, robot: Robot) -> PlannedSteps:
             "name the one that it began with"
         )
     with as_bad_input(CorpusError):
-        return PlannedSteps.of(Corpus.load(folder), robot.name, robot.training_model)
+        corpus = Corpus.load(folder)
+    try:
+        return PlannedSteps.of(corpus, robot.name, robot.training_model)
+    except CorpusError as error:
+        raise InputError(
+            f"--corpus: {folder}: {error}; make one by `dataset --robot {robot.option} --out DIR`"
+        ) from None
 
 
 def make_corpus(folder: Path, robot: str, workers: int = 0, *, cluster: str | None = None) -> None:

@@ -66,9 +66,11 @@ def _from_csv(path: Path, scene: Scene) -> tuple[RobotLog, dict[str, str]]:
                     near = near or difflib.get_close_matches(name, head, n=1)
                     instead = f"there is {near[0]}; " if near else ""
                     raise InputError(f"{path}: no column {name}; {instead}docs/files.md has them")
+                if head.count(name) > 1:
+                    raise InputError(f"{path}: column {name} is there twice; keep the right one")
             felt = all(name in found for name in ACCELEROMETER)
             read = [*needed, *((SENT,) if SENT in found else ()), *(ACCELEROMETER if felt else ())]
-            table = _numbers(path, lines, {name: found[name] for name in read})
+            table = _numbers(path, lines, {name: found[name] for name in read}, len(head))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path} is not a CSV file: {error}") from error
 
@@ -95,13 +97,18 @@ def _from_csv(path: Path, scene: Scene) -> tuple[RobotLog, dict[str, str]]:
 
 
 def _numbers(
-    path: Path, lines: Iterator[list[str]], places: dict[str, int]
+    path: Path, lines: Iterator[list[str]], places: dict[str, int], width: int
 ) -> dict[str, np.ndarray]:
     """The numbers of the columns, all finite."""
     rows: list[list[float]] = []
     for line, words in enumerate(lines, start=2):
         if not words:
             continue
+        if len(words) > width:
+            raise InputError(
+                f"{path}: line {line} has {len(words)} cells, the first {width}; numbers are "
+                "written with points"
+            )
         row = []
         for name, place in places.items():
             try:
