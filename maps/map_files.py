@@ -27,6 +27,8 @@ from maps.files import MOST_YAML_BYTES, from_yaml, read_limited
 from maps.grid import HIGHEST_M, Cell, OccupancyGrid
 from maps.images import ImageError, grey_and_opaque, read_grey_values, read_image
 
+# Of a pixel and of a grey value: the feet of any robot are lost in more.
+MOST_M = 100.0
 REQUIRED_KEYS = ("image", "resolution", "origin", "negate")
 OPTIONAL_KEYS = ("occupied_thresh", "free_thresh", "mode")
 ELEVATION_KEYS = ("elevation", "elevation_scale", "elevation_offset")
@@ -102,7 +104,7 @@ def find_map(
         metadata = replace(metadata, resolution_m=_number("resolution", resolution_m, file))
     if origin is not None:
         metadata = replace(metadata, origin=_origin(origin, file))
-    _require_above_0("resolution", metadata.resolution_m, "pixel", file)
+    _require_length("resolution", metadata.resolution_m, "pixel", file)
     return metadata
 
 
@@ -177,7 +179,7 @@ def read_metadata(file: Path) -> MapMetadata:
         mode=str(document.get("mode", "trinary")).lower(),
         **_elevation_metadata(document, file),
     )
-    _require_above_0("resolution", metadata.resolution_m, "pixel", file)
+    _require_length("resolution", metadata.resolution_m, "pixel", file)
     if metadata.mode not in MODES:
         raise MapError(f"map {file}: mode {metadata.mode!r} must be one of {', '.join(MODES)}")
     if not 0 <= metadata.free_thresh < metadata.occupied_thresh <= 1:
@@ -202,7 +204,7 @@ def _elevation_metadata(document: dict[Any, Any], file: Path) -> dict[str, Any]:
             f"map {file}: key `elevation_scale` is missing: metres per grey value of {image}"
         )
     scale_m = _number("elevation_scale", document["elevation_scale"], file)
-    _require_above_0("elevation_scale", scale_m, "grey value", file)
+    _require_length("elevation_scale", scale_m, "grey value", file)
     offset_m = _number("elevation_offset", document.get("elevation_offset", 0.0), file)
     return {
         "elevation": file.parent / _at_home(image),
@@ -235,9 +237,13 @@ def _warn(text: str) -> None:
     warnings.warn(text, MapWarning, stacklevel=4)
 
 
-def _require_above_0(name: str, value_m: float, per: str, file: Path) -> None:
+def _require_length(name: str, value_m: float, per: str, file: Path) -> None:
     if value_m <= 0:
         raise MapError(f"map {file}: {name} {value_m:g} must be above 0 (metres per {per})")
+    if value_m > MOST_M:
+        raise MapError(
+            f"map {file}: {name} {value_m:g} must be at most {MOST_M:g} (metres per {per})"
+        )
 
 
 def _number(name: str, value: Any, file: Path) -> float:

@@ -148,6 +148,7 @@ def test_a_map_without_free_cells_and_a_strange_key_are_warned_of(write):
     ("keys", "message"),
     [
         ({"resolution": 0}, "resolution 0 must be above 0"),
+        ({"resolution": 1e7}, r"resolution 1e\+07 must be at most 100 \(metres per pixel\)"),
         ({"resolution": -0.05}, "resolution -0.05"),
         ({"resolution": "wide"}, "resolution 'wide' must be a finite number"),
         ({"resolution": True}, "resolution True must be a finite number"),

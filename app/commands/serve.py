@@ -163,5 +163,7 @@ def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> No
     world = World(grid=grid, model=robot.step_model, options=options.planner_options())
     blocked, free = place_to_stand(world, options.start)
     if blocked:
-        near = "none within 2 m" if free is None else "{:zg},{:zg},{:zg}".format(*free)
-        raise InputError(f"{wanted}: {blocked}; the nearest free pose is {near}")
+        near = "no pose within 2 m is free"
+        if free is not None:
+            near = "the nearest free pose is {:zg},{:zg},{:zg}".format(*free)
+        raise InputError(f"{wanted}: {blocked}; {near}")
