@@ -289,9 +289,11 @@ def _talk(client: Client) -> None:
     client.until(lambda: len(client.latest("path")[1]) == len(steps) - 1, "the path")
     # Each topic has a connection of its own: what was sent first may come last.
     seen = client.until(
-        lambda: (now := {name: client.latest(name)[1] for name in client_topics()})
-        and all(value is not None for value in now.values())
-        and now,
+        lambda: (
+            (now := {name: client.latest(name)[1] for name in client_topics()})
+            and all(value is not None for value in now.values())
+            and now
+        ),
         "all topics",
     )
     markers = shown(client)
