@@ -136,7 +136,7 @@ class SymmetricNetwork(torch.nn.Module):
 
 
 def plain_layers(network: torch.nn.Module) -> Layers:
-    """The linear layers of a network."""
+    """A network as linear layers with ReLU between, a symmetric one twice as wide."""
     if isinstance(network, SymmetricNetwork):
         return network.layers()
     linear = [part for part in network.modules() if isinstance(part, torch.nn.Linear)]

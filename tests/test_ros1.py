@@ -288,14 +288,10 @@ def _talk(client: Client) -> None:
     client.until(lambda: [is_left for *_, is_left in shown(client)] == legs, "the markers")
     client.until(lambda: len(client.latest("path")[1]) == len(steps) - 1, "the path")
     # Each topic has a connection of its own: what was sent first may come last.
-    seen = client.until(
-        lambda: (
-            (now := {name: client.latest(name)[1] for name in client_topics()})
-            and all(value is not None for value in now.values())
-            and now
-        ),
-        "all topics",
+    client.until(
+        lambda: all(client.latest(name)[1] is not None for name in client_topics()), "all topics"
     )
+    seen = {name: client.latest(name)[1] for name in client_topics()}
     markers = shown(client)
     for (_, _, x, y, _), (at_x, at_y, yaw, _) in zip(markers, steps, strict=True):
         sole = at_x + AHEAD_M * math.cos(yaw), at_y + AHEAD_M * math.sin(yaw)

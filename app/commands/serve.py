@@ -155,15 +155,14 @@ def _name_of(path: Path, maps: dict[str, Path]) -> str:
 
 
 def _check_start(options: ServeOptions, grid: OccupancyGrid, robot: Robot) -> None:
-    from app.navigation.planner_process import World, place_to_stand
+    from planner.collision import terrain_of
+    from planner.endpoints import suggestion, what_blocks
+    from planner.plan import feet_at
 
     wanted = "--start {:g},{:g},{:g}".format(*options.start)
     if not grid.contains(options.start[:2]):
         raise InputError(f"{wanted} is off the map")
-    world = World(grid=grid, model=robot.step_model, options=options.planner_options())
-    blocked, free = place_to_stand(world, options.start)
+    model, terrain = robot.step_model, terrain_of(grid, options.planner_options().unknown_is_free)
+    blocked = what_blocks(grid, terrain, model, feet_at(options.start, model.stance_width_m))
     if blocked:
-        near = "no pose within 2 m is free"
-        if free is not None:
-            near = "the nearest free pose is {:zg},{:zg},{:zg}".format(*free)
-        raise InputError(f"{wanted}: {blocked}; {near}")
+        raise InputError(f"{wanted}: {blocked}{suggestion(grid, terrain, model, options.start)}")

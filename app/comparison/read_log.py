@@ -66,10 +66,11 @@ def _from_csv(path: Path, scene: Scene) -> tuple[RobotLog, dict[str, str]]:
                     near = near or difflib.get_close_matches(name, head, n=1)
                     instead = f"there is {near[0]}; " if near else ""
                     raise InputError(f"{path}: no column {name}; {instead}docs/files.md has them")
-                if head.count(name) > 1:
-                    raise InputError(f"{path}: column {name} is there twice; keep the right one")
             felt = all(name in found for name in ACCELEROMETER)
             read = [*needed, *((SENT,) if SENT in found else ()), *(ACCELEROMETER if felt else ())]
+            for name in read:
+                if head.count(name) > 1:
+                    raise InputError(f"{path}: column {name} is there twice; keep the right one")
             table = _numbers(path, lines, {name: found[name] for name in read}, len(head))
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path} is not a CSV file: {error}") from error

@@ -24,6 +24,8 @@ Cells = NDArray[np.int64]
 _LEVELS = 1 << 12  # that clearances are told apart by, up to that of the narrower end
 _FLOOD_S = 2e-8  # that a cell takes, about, where the field is flooded
 _ANGLES, _RAY_M, _RAY_STEP_M = 64, 3.0, 1e-3
+_ANGLES_RAD = np.arange(2 * _ANGLES) * (math.pi / _ANGLES)  # all around
+_UNSEEN = -2  # a cell that no list of a flood holds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,9 +112,6 @@ def _widest_level(
     following = np.full(clearance_m.size, _UNSEEN, np.int32)
     heads = np.full(_LEVELS, -1, np.int32)
     return int(_flood_levels(level.reshape(-1), cols, first, last, following, heads))
-
-
-_UNSEEN = -2
 
 
 @njit_no_refcount
@@ -226,17 +225,11 @@ def _shortest_chord(
         ray_m = min(2 * ray_m, _RAY_M)
     if not np.isfinite(both_m[best]):
         return None
-    angle = _angles_rad()
     x, y = (col + 0.5) * size_m, (row + 0.5) * size_m
     ends = [best, best + _ANGLES]
     return np.array([x, y]) + length_m[ends, None] * np.column_stack(
-        [np.cos(angle[ends]), np.sin(angle[ends])]
+        [np.cos(_ANGLES_RAD[ends]), np.sin(_ANGLES_RAD[ends])]
     )
-
-
-def _angles_rad() -> Floats:
-    """Directions (2 _ANGLES,) all around."""
-    return np.asarray(np.arange(2 * _ANGLES) * (math.pi / _ANGLES))
 
 
 def _ray_lengths_m(
@@ -244,9 +237,9 @@ def _ray_lengths_m(
 ) -> Floats:
     """Lengths (2 _ANGLES,) of rays all around from a cell to obstacles, inf beyond a length."""
     x, y = (col + 0.5) * size_m, (row + 0.5) * size_m
-    angle, ray = _angles_rad(), np.arange(0.0, most_m, _RAY_STEP_M)
-    cols = np.floor((x + np.cos(angle)[:, None] * ray) / size_m).astype(int)
-    rows = np.floor((y + np.sin(angle)[:, None] * ray) / size_m).astype(int)
+    ray = np.arange(0.0, most_m, _RAY_STEP_M)
+    cols = np.floor((x + np.cos(_ANGLES_RAD)[:, None] * ray) / size_m).astype(int)
+    rows = np.floor((y + np.sin(_ANGLES_RAD)[:, None] * ray) / size_m).astype(int)
     height, width = clearance_m.shape
     inside = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
     hit = ~inside | (clearance_m[rows.clip(0, height - 1), cols.clip(0, width - 1)] <= 0.0)
